@@ -1,8 +1,4 @@
-"""What must hold between the keys of a study, beyond each key by itself.
-
-Every check works on a lenient study too, where a faulty or missing value is None: a value is `given` where the
-file has it, usable where it is not None.
-"""
+"""What must hold between the keys of a study, beyond each key by itself: findings on a study of sound keys."""
 
 from __future__ import annotations
 
@@ -17,9 +13,9 @@ from pydantic_core import ErrorDetails
 
 from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_twice, unknown
 from .fields import field_at, keys_of, table_at
-from .kinds import Context, Table, given, safe_name
+from .kinds import Table, given, safe_name
 from .loads import KINDS
-from .registry import DISPLACEMENT_ELEMENTS, all_models, is_surface, reads, split
+from .registry import BROKEN, DISPLACEMENT_ELEMENTS, RENAMED, find, is_surface, model_names, reads, split
 from .schema import (
     LAW_KEYS,
     LAWS,
@@ -28,9 +24,6 @@ from .schema import (
     Box,
     Constraint,
     Geometry,
-    HalfSpace,
-    Inclusion,
-    Load,
     Measured,
     Region,
     Study,
@@ -63,40 +56,35 @@ _KIND_KEYS = {kind.name: set(kind.keys) for kind in KINDS.values()}
 def check(study: Study) -> Iterator[Finding]:
     """Everything that is wrong with a study whose keys are right by themselves."""
     yield from _check_models(study)
-    yield from _check_incompressible(study)
-    yield from check_law(study)
-    yield from _check_penalty(study)
-    yield from _check_unread(study)
-    yield from _check_calibration(study)
-    yield from _check_geometry(study.geometry)
-    yield from check_regions(study)
+    yield from _check_law(study)
+    of_body = list(_check_geometry(study.geometry))
+    yield from of_body
+    yield from _check_regions(study)
     yield from _check_constraints(study)
-    yield from _check_indenters(study)
-    yield from check_inclusions(study)
-    yield from _check_history(study.load)
-    yield from _check_loads(study)
+    yield from _check_inclusions(study)
+    count = len(study.load.history)
+    if count > MOST_STEPS:
+        text = f"makes a load history of {count:,} steps, more than the {MOST_STEPS:,} allowed; take fewer"
+        yield ("load", "steps"), text
+    yield from _check_loads(study, None if of_body else _largest_extent(study.geometry))
     yield from _check_acceptance(study)
-    yield from check_measured(study)
+    yield from _check_measured(study)
 
 
-def fits_kind(data: Mapping[str, Any], loc: Loc) -> bool:
-    """Whether a key's place in `data`, as parsed, is in no constraint, or in one of a kind that takes the key."""
-    if loc[0] != "constraints":
-        return True
-    entry = data["constraints"][loc[1]]
-    kind = entry.get("kind") if isinstance(entry, Mapping) else None
-    others = set[str]().union(*(keys for name, keys in _KIND_KEYS.items() if name != kind))
-    return loc[2] not in others - _KIND_KEYS.get(str(kind), others)
+# --- models, and what they read ---
 
 
 def _check_models(study: Study) -> Iterator[Finding]:
-    info = study.study
-    if info is None or info.models is None:
-        return
+    info, known = study.study, model_names()
     if not info.models:
         yield ("study", "models"), "name at least one model"
     for place, name in enumerate(info.models):
-        if name in info.models[:place]:
+        if name not in known:
+            base, colon, solver = name.partition(":")
+            told = f"{name} is now {RENAMED[base]}{colon}{solver}" if base in RENAMED else ""
+            text = told or "; ".join([unknown(name, known, "model"), *BROKEN.values()])
+            yield ("study", "models", place), text
+        elif name in info.models[:place]:
             yield ("study", "models", place), f"{shown(name)} is listed twice"
     if info.reference is not None and info.reference not in info.models:
         yield (
@@ -104,85 +92,61 @@ def _check_models(study: Study) -> Iterator[Finding]:
             f"{shown(info.reference)} is not among the models of this study; add it to models, or leave "
             "reference out to run without comparison",
         )
-    for name in study.models or {}:
+    for name in study.models:
         if name not in info.models:
             yield ("models", name), unknown(name, info.models, "model of this study")
+    if set(info.models) <= set(known):  # of a wrong name nobody knows what it was to read
+        yield from _check_reference(study)
+        yield from _check_read(study)
+        yield from _check_calibration(study)
 
 
-def _check_incompressible(study: Study) -> Iterator[Finding]:
-    reference = study.study.reference if study.study is not None else None
-    ratio = study.tissue.poisson_ratio if study.tissue is not None else None
-    if ratio == 0.5 and reference is not None and split(reference)[0] in DISPLACEMENT_ELEMENTS:
+def holds_nothing(study: Study) -> bool:
+    """Whether no constraint holds or supports a part of the body, so that elements have no answer."""
+    kinds = [KINDS[constraint.kind] for constraint in study.constraints]
+    return not any(kind.holds or kind.supports for kind in kinds)
+
+
+def _check_reference(study: Study) -> Iterator[Finding]:
+    reference = study.study.reference
+    if reference not in study.study.models or reference is None:
+        return
+    if study.tissue.poisson_ratio == 0.5 and split(reference)[0] in DISPLACEMENT_ELEMENTS:
         yield (
             ("tissue", "poisson_ratio"),
             f"{reference}, the reference, is a displacement element, which cannot be incompressible; "
             'use reference = "fem-linear", or a ratio below 0.5',
         )
+    if find(reference)[0].volumetric and holds_nothing(study):
+        text = f"nothing is held, so {reference} has no answer; hold a region, by kind fixed or constrained"
+        yield ("study", "reference"), text
 
 
-def check_law(study: Study) -> Iterator[Finding]:
-    """What is wrong with the law and its keys together."""
-    tissue = study.tissue
-    if tissue is None:
-        return
-    present = {key for key in LAW_KEYS if key in tissue.model_fields_set}
-    law = tissue.law or NEO_HOOKEAN
-    place: Loc = ("tissue",)
-    for key in LAWS[law].keys:
-        if key not in present:
-            yield (*place, key), f"is missing; the law {shown(law)} needs {listed(set(LAWS[law].keys))}"
-    for key in sorted(present - set(LAWS[law].keys)):
-        owners = {name for name, other in LAWS.items() if key in other.keys}
-        yield (*place, key), f"belongs to the law {listed(owners)}, not to {shown(law)}; leave it out"
-    if law != NEO_HOOKEAN and study.anisotropy is not None:
-        yield (*place, "law"), f"{shown(law)} has no fibres; leave out [anisotropy], or the law"
-    exponents, shares = tissue.exponents, tissue.shares
-    if exponents and shares:
-        if len(exponents) != len(shares):
-            yield (
-                (*place, "shares"),
-                f"has {len(shares)} numbers; give one for each of {len(exponents)} exponents",
-            )
-        if abs(sum(shares) - 1.0) > 1e-9:
-            yield (*place, "shares"), f"must sum to 1, not {sum(shares):g}"
-
-
-def _check_penalty(study: Study) -> Iterator[Finding]:
-    """Held nodes by penalty, equations (25) and (26), are solved by `lu`, whose answer no other may claim."""
-    names = [name for name in (study.study and study.study.models) or () if name and "penalty" in reads(name)]
-    others = [name for name in names if split(name)[1] not in ("linear", "lu")]
-    tables: list[tuple[Loc, Table | None, list[str]]] = [(("vdm", "penalty"), study.vdm, others)]
-    tables += [(("models", name, "penalty"), (study.models or {}).get(name), [name]) for name in others]
-    for loc, table, answered in tables:
-        if answered and getattr(table, "penalty", None) is not None:
-            instead = f"[models.{split(answered[0])[0]}]"
-            yield (
-                loc,
-                f"is solved by lu alone, not by {listed(set(answered))}; give it in {instead} or leave it out",
-            )
-
-
-def _check_unread(study: Study) -> Iterator[Finding]:
-    """Parameters that decide nothing: [vdm] may serve several models, but one of them has to read each."""
-    names = [name for name in (study.study and study.study.models) or () if name]
-    if any(split(name)[0] not in all_models() for name in names):
-        return  # a name that is wrong: nobody knows what it was to read
-    tables: list[tuple[Loc, Table | None, set[str]]] = [
-        (("models", name), (study.models or {}).get(name), set(reads(name))) for name in names
-    ]
-    tables.append((("vdm",), study.vdm, set().union(*map(reads, names))))
-    for loc, table, known in tables:
-        for key in sorted(given(table) - known) if table is not None else ():
+def _check_read(study: Study) -> Iterator[Finding]:
+    """Parameters that decide nothing, and held nodes by penalty, (25) and (26), which only `lu` solves."""
+    names = study.study.models
+    tables: list[tuple[Loc, Table, Sequence[str]]] = [(("vdm",), study.vdm, names)]
+    tables += [(("models", name), table, [name]) for name, table in study.models.items() if name in names]
+    for loc, table, readers in tables:
+        known = set().union(*map(reads, readers))
+        for key in sorted(given(table) - known):
             who = f"{loc[1]} does not read it" if len(loc) > 1 else "no model of this study reads it"
             yield (*loc, key), f"{who}; leave it out. Read here: {listed(known) if known else 'none'}"
+        others = {
+            name for name in readers if "penalty" in reads(name) and split(name)[1] not in ("linear", "lu")
+        }
+        if others and "penalty" in given(table):
+            instead = f"[models.{split(min(others))[0]}]"
+            text = f"is solved by lu alone, not by {listed(others)}; give it in {instead} or leave it out"
+            yield (*loc, "penalty"), text
 
 
 def _check_calibration(study: Study) -> Iterator[Finding]:
     """Parameters to fit, where the study names them: a model of VDM has to read each, each model one of them."""
-    names = [name for name in (study.study and study.study.models) or () if name and is_surface(name)]
+    names = [name for name in study.study.models if is_surface(name)]
     asked = (study.calibration and study.calibration.parameters) or ()
-    if not asked or not all(map(reads, names)):
-        return  # left to the rules, or a name is wrong
+    if not asked:
+        return  # left to the rules
     known = set().union(*map(reads, names)) & set(asked)
     for place, key in enumerate(asked):
         loc = ("calibration", "parameters", place)
@@ -196,20 +160,40 @@ def _check_calibration(study: Study) -> Iterator[Finding]:
             yield ("calibration", "parameters"), text
 
 
+# --- tissue and body ---
+
+
+def _check_law(study: Study) -> Iterator[Finding]:
+    tissue = study.tissue
+    present = {key for key in LAW_KEYS if key in tissue.model_fields_set}
+    law = tissue.law or NEO_HOOKEAN
+    needed = set(LAWS[law].keys)
+    for key in sorted(needed - present):
+        yield ("tissue", key), f"is missing; the law {shown(law)} needs {listed(needed)}"
+    for key in sorted(present - needed):
+        owners = {name for name, other in LAWS.items() if key in other.keys}
+        yield ("tissue", key), f"belongs to the law {listed(owners)}, not to {shown(law)}; leave it out"
+    if law != NEO_HOOKEAN and study.anisotropy is not None:
+        yield ("tissue", "law"), f"{shown(law)} has no fibres; leave out [anisotropy], or the law"
+    exponents, shares = tissue.exponents, tissue.shares
+    if exponents and shares:
+        if len(exponents) != len(shares):
+            text = f"has {len(shares)} numbers; give one for each of {len(exponents)} exponents"
+            yield ("tissue", "shares"), text
+        if abs(sum(shares) - 1.0) > 1e-9:
+            yield ("tissue", "shares"), f"must sum to 1, not {sum(shares):g}"
+
+
 def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
-    if geometry is None or geometry.shape is None:
-        return
     needed, allowed = SHAPE_KEYS[geometry.shape]
-    present = given(geometry) - {"shape"}
-    missing = sorted(needed - present)
-    # of a faulty path nothing is known
+    present, name = given(geometry) - {"shape"}, _a(geometry.shape)
     suffix = geometry.path.suffix.lower() if geometry.path is not None else ""
-    if geometry.shape == "file" and suffix and suffix not in VOLUME_SUFFIXES and "mesh_size" not in present:
-        missing.append("mesh_size")
-    for key in missing:
-        yield ("geometry", key), f"is missing; {_a(geometry.shape)} needs {listed(needed | {key})}"
+    if suffix and suffix not in VOLUME_SUFFIXES:
+        needed, allowed = needed | {"mesh_size"}, allowed - {"mesh_size"}
+    for key in sorted(needed - present):
+        yield ("geometry", key), f"is missing; {name} needs {listed(needed)}"
     for key in sorted(present - needed - allowed - set(DISTORTIONS)):
-        yield ("geometry", key), f"{_a(geometry.shape)} has no {key}; it takes {listed(needed | allowed)}"
+        yield ("geometry", key), f"{name} has no {key}; it takes {listed(needed | allowed)}"
     if "seed" in present and not present & {"slivers", "perturbation"}:
         yield ("geometry", "seed"), "decides nothing without slivers or perturbation; give one of them"
     if geometry.path is not None:
@@ -237,11 +221,9 @@ def _check_counts(geometry: Geometry) -> Iterator[Finding]:
 
 
 def _check_extent(geometry: Geometry) -> Iterator[Finding]:
-    spec = geometry_spec(geometry)
-    if None in spec.parameters.values():
-        return  # a faulty one, which has been told
     if geometry.shape == "file" and geometry.size is None:
         return  # its extent is known once it is read
+    spec = geometry_spec(geometry)
     sizes = (geometry.size,) if isinstance(geometry.size, float) else extents(spec)
     largest = max(sizes)
     key = "size" if geometry.shape == "file" else extent_key(spec)
@@ -260,10 +242,8 @@ def _check_extent(geometry: Geometry) -> Iterator[Finding]:
 
 def _check_suffix(name: str, suffix: str) -> Iterator[Finding]:
     if suffix == ".geo":
-        yield (
-            ("geometry", "path"),
-            f"{shown(name)}: .geo files are scripts and are not run; give the mesh made from it",
-        )
+        text = f"{shown(name)}: .geo files are scripts and are not run; give the mesh made from it"
+        yield ("geometry", "path"), text
     elif suffix not in SURFACE_SUFFIXES + VOLUME_SUFFIXES:
         yield (
             ("geometry", "path"),
@@ -282,71 +262,74 @@ def geometry_spec(geometry: Geometry) -> GeometrySpec:
     return GeometrySpec(geometry.shape, geometry.mesh_size or 0.0, parameters)
 
 
-def _check_constraints(study: Study) -> Iterator[Finding]:
-    yield from named_twice("constraints", study.constraints or (), "constraint")
-    for place, constraint in enumerate(study.constraints or ()):
-        loc, region = ("constraints", place), constraint.region
-        if region is not None and study.regions is not None and region not in study.regions:
-            yield (*loc, "region"), unknown(region, list(study.regions), "region")
-        if constraint.kind is not None:
-            yield from _check_kind(constraint, loc, study.regions or {})
-
-
-def _check_indenters(study: Study) -> Iterator[Finding]:
-    places = [place for place, part in enumerate(study.constraints or ()) if part.kind == "indenter"]
-    for place in places[1:]:
-        yield ("constraints", place, "kind"), "is a second indenter; a study has one, so make it a contact"
-
-
-def _check_kind(constraint: Constraint, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
-    present = given(constraint) - {"kind", "region", "name"}
-    allowed = _KIND_KEYS[constraint.kind]
-    for key in sorted(present - allowed):
-        takes = f"it takes {listed(allowed)}" if allowed else "it takes a region only"
-        yield (*loc, key), f"{_a(constraint.kind)} constraint has no {key}; {takes}"
-    kind = KINDS[constraint.kind]
-    if len(loads := [name for name in kind.loads if name in present]) > 1:
-        yield loc, f"has both {' and '.join(loads)}; keep one"
-    elif not loads and len(kind.loads) > 1:
-        yield loc, f"a {kind.name} needs either {' or '.join(kind.loads)}"
-    elif not loads and kind.loads:
-        yield (*loc, kind.loads[0]), f"is missing; give {kind.keys[kind.loads[0]].example or 'it'}"
-    for name, about in kind.keys.items():
-        if about.needed and name not in present:
-            yield (*loc, name), f"is missing; give {about.example or 'it'}"
-    region = regions.get(constraint.region)
-    for key, text in kind.check(constraint, frozenset(given(region)) if region else frozenset()).items():
-        yield (*loc, key), text
+def _largest_extent(geometry: Geometry) -> float | None:
+    """The body's largest extent where the keys tell it."""
+    if geometry.shape == "file":
+        return geometry.size if isinstance(geometry.size, float) else None
+    return max(extents(geometry_spec(geometry)))
 
 
 def _a(kind: str) -> str:
     return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
 
 
-def _check_history(load: Load) -> Iterator[Finding]:
-    steps = load.steps if load is not None else None
-    count = len(load.factors or ()) * steps if steps else 0
-    if count > MOST_STEPS:
-        text = f"makes a load history of {count:,} steps, more than the {MOST_STEPS:,} allowed; take fewer"
-        yield ("load", "steps"), text
+# --- constraints and loads ---
 
 
-def _check_loads(study: Study) -> Iterator[Finding]:
-    """Loads that no body of this stiffness and size can mean: a unit has been mixed up."""
-    modulus = study.tissue.youngs_modulus if study.tissue is not None else None
-    extent = _largest_extent(study.geometry)
-    factor = max(map(abs, study.load.factors)) if study.load is not None and study.load.factors else 1.0
-    for place, constraint in enumerate(study.constraints or ()):
+def fits_kind(data: Mapping[str, Any], loc: Loc) -> bool:
+    """Whether a key's place in `data`, as parsed, is in no constraint, or in one of a kind that takes the key."""
+    if loc[0] != "constraints":
+        return True
+    entry = data["constraints"][loc[1]]
+    kind = entry.get("kind") if isinstance(entry, Mapping) else None
+    others = set[str]().union(*(keys for name, keys in _KIND_KEYS.items() if name != kind))
+    return loc[2] not in others - _KIND_KEYS.get(str(kind), others)
+
+
+def _check_constraints(study: Study) -> Iterator[Finding]:
+    yield from named_twice("constraints", study.constraints, "constraint")
+    for place, constraint in enumerate(study.constraints):
         loc = ("constraints", place)
-        keys = KINDS[constraint.kind].keys.items() if constraint.kind is not None else ()
-        for name, key in keys:
+        if constraint.region not in study.regions:
+            yield (*loc, "region"), unknown(constraint.region, list(study.regions), "region")
+        yield from _check_kind(constraint, loc, study.regions.get(constraint.region))
+    for place in [place for place, part in enumerate(study.constraints) if part.kind == "indenter"][1:]:
+        yield ("constraints", place, "kind"), "is a second indenter; a study has one, so make it a contact"
+
+
+def _check_kind(constraint: Constraint, loc: Loc, region: Region | None) -> Iterator[Finding]:
+    kind, present = KINDS[constraint.kind], given(constraint) - {"kind", "region", "name"}
+    allowed = _KIND_KEYS[constraint.kind]
+    for key in sorted(present - allowed):
+        takes = f"it takes {listed(allowed)}" if allowed else "it takes a region only"
+        yield (*loc, key), f"{_a(constraint.kind)} constraint has no {key}; {takes}"
+    loads = [name for name in kind.loads if name in present]
+    if len(loads) > 1:
+        yield loc, f"has both {' and '.join(loads)}; keep one"
+    elif not loads and len(kind.loads) > 1:
+        yield loc, f"a {kind.name} needs either {' or '.join(kind.loads)}"
+    needed = {name for name, about in kind.keys.items() if about.needed}
+    needed |= set(kind.loads) if len(kind.loads) == 1 else set()
+    for name in sorted(needed - present):
+        yield (*loc, name), f"is missing; give {kind.keys[name].example or 'it'}"
+    of_region = frozenset(given(region)) if region is not None else frozenset[str]()
+    for key, text in kind.check(constraint, of_region).items():
+        yield (*loc, key), text
+
+
+def _check_loads(study: Study, extent: float | None) -> Iterator[Finding]:
+    """Loads that no body of this stiffness and size [m] can mean: a unit has been mixed up."""
+    modulus = study.tissue.youngs_modulus
+    factor = max(map(abs, study.load.factors))
+    for place, constraint in enumerate(study.constraints):
+        for name, key in KINDS[constraint.kind].keys.items():
             value = getattr(constraint, name)
             if key.is_load and value is not None:
                 size = factor * math.hypot(*(value if isinstance(value, tuple) else (value,)))
                 if told := _mixed_up(size, key.unit, modulus, extent):
-                    yield (*loc, name), told
-    if modulus is not None and extent is not None and study.gravity is not None:
-        weight = (study.tissue.density or 0.0) * math.hypot(*(study.gravity.acceleration or (0.0,))) * extent
+                    yield ("constraints", place, name), told
+    if extent is not None and study.gravity is not None:
+        weight = study.tissue.density * math.hypot(*study.gravity.acceleration) * extent
         if weight > 10 * modulus:
             yield (
                 ("gravity", "acceleration"),
@@ -355,18 +338,16 @@ def _check_loads(study: Study) -> Iterator[Finding]:
             )
 
 
-def _mixed_up(size: float, unit: str, modulus: float | None, extent: float | None) -> str:
+def _mixed_up(size: float, unit: str, modulus: float, extent: float | None) -> str:
     """What is wrong with a load of this size on a body of this stiffness [Pa] and extent [m], if anything."""
-    if unit == "Pa" and modulus is not None and size > 10 * modulus:
+    if unit == "Pa" and size > 10 * modulus:
         return f"{size:g} Pa is more than ten times Young's modulus ({modulus:g} Pa): a mixed-up unit?"
-    if extent is None:
-        return ""
-    if unit == "N" and modulus is not None and size > 10 * modulus * extent**2:
+    if unit == "N" and extent is not None and size > 10 * modulus * extent**2:
         return (
             f"{size:g} N on a body {extent:g} m across is a pressure of more than ten times Young's "
             f"modulus ({modulus:g} Pa): a mixed-up unit?"
         )
-    if unit == "m" and size > extent:
+    if unit == "m" and extent is not None and size > extent:
         return (
             f"{size:g} m is more than the body's extent ({extent:g} m): a mixed-up unit? "
             'A bare number is in metres; write "5 mm"'
@@ -376,42 +357,25 @@ def _mixed_up(size: float, unit: str, modulus: float | None, extent: float | Non
 
 def _check_acceptance(study: Study) -> Iterator[Finding]:
     """A region that is there, and has a limit to go with."""
-    limits = study.acceptance
-    region = limits.region if limits is not None else None
+    region = study.acceptance.region
     if region is None:
         return
-    if study.regions is not None and region not in study.regions:
+    if region not in study.regions:
         yield ("acceptance", "region"), unknown(region, list(study.regions), "region")
-    if "largest_difference" not in given(limits):
+    if study.acceptance.largest_difference is None:
         text = 'decides nothing without largest_difference; give that, such as "1 mm", or leave region out'
         yield ("acceptance", "region"), text
 
 
-def _largest_extent(geometry: Geometry) -> float | None:
-    """The body's largest extent where the keys tell it."""
-    if geometry is None or geometry.shape is None or any(_check_geometry(geometry)):
-        return None
-    if geometry.shape == "file":
-        return geometry.size if isinstance(geometry.size, float) else None
-    spec = geometry_spec(geometry)
-    return None if None in spec.parameters.values() else max(extents(spec))
-
-
-# --- What must hold in the regions and inclusions of a study; `checks` says how a lenient study reads ---
+# --- regions and inclusions ---
 
 
 _MOST_PARTS, _DEEPEST = 1000, 50  # regions that one region may be made of, and levels of them
 _ONE_OF = "below, above, ball, box, cap, group, all, any, not"
 
 
-def check_regions(study: Study) -> Iterator[Finding]:
-    """Everything that is wrong with the regions, by themselves and with the body that they are on."""
-    yield from _check_regions(study.regions or {})
-    yield from _check_groups(study)
-    yield from _check_coordinates(study)
-
-
-def _check_regions(regions: dict[str, Region]) -> Iterator[Finding]:
+def _check_regions(study: Study) -> Iterator[Finding]:
+    regions = study.regions
     for name, region in regions.items():
         try:
             safe_name(name)
@@ -421,28 +385,24 @@ def _check_regions(regions: dict[str, Region]) -> Iterator[Finding]:
         if name in _reached(name, regions):
             yield ("regions", name), "refers to itself, directly or through other regions"
         elif _is_too_large(region, regions):
-            yield (
-                ("regions", name),
-                f"is made of more than {_MOST_PARTS} regions, or more than {_DEEPEST} levels",
-            )
+            text = f"is made of more than {_MOST_PARTS} regions, or more than {_DEEPEST} levels"
+            yield ("regions", name), text
+    yield from _check_groups(study)
+    yield from _check_coordinates(study)
 
 
 def _check_groups(study: Study) -> Iterator[Finding]:
     """Named groups of nodes where the body has none."""
-    geometry = study.geometry
-    if geometry is None or geometry.shape is None:
+    path = study.geometry.path
+    if study.geometry.shape == "file" and (path is None or path.suffix.lower() == ".msh"):
         return
-    if geometry.shape == "file" and (geometry.path is None or geometry.path.suffix.lower() == ".msh"):
-        return
-    for name, region in (study.regions or {}).items():
+    for name, region in study.regions.items():
         for loc in _groups_in(region, ("regions", name)):
             yield loc, "only a MSH file has named groups of nodes; say where the region is instead"
     for place, part in enumerate(study.inclusions or ()):
         if part.group is not None:
-            yield (
-                ("inclusions", place, "group"),
-                "only a MSH file has named groups; give a ball or a box instead",
-            )
+            text = "only a MSH file has named groups; give a ball or a box instead"
+            yield ("inclusions", place, "group"), text
 
 
 def _check_coordinates(study: Study) -> Iterator[Finding]:
@@ -450,14 +410,11 @@ def _check_coordinates(study: Study) -> Iterator[Finding]:
 
     Until version 0.2 that was the middle of the body: studies of that time must not change in silence.
     """
-    geometry = study.geometry
-    if geometry is None or geometry.shape != "file" or "coordinates" in given(geometry):
+    if study.geometry.shape != "file" or study.geometry.coordinates is not None:
         return
-    names = [
-        f"region {shown(name)}" for name, part in (study.regions or {}).items() if _has_coordinates(part)
-    ]
+    names = [f"region {shown(name)}" for name, part in study.regions.items() if _has_coordinates(part)]
     names += [f"inclusion {shown(part.name)}" for part in study.inclusions or () if part.ball or part.box]
-    names += [f"measured table {shown(table.name)}" for table in study.measured or () if table.name]
+    names += [f"measured table {shown(table.name)}" for table in study.measured or ()]
     if names:
         yield (
             ("geometry", "coordinates"),
@@ -469,7 +426,7 @@ def _check_coordinates(study: Study) -> Iterator[Finding]:
 
 def _has_coordinates(region: Region) -> bool:
     planes = (region.below, region.above)
-    own = region.ball or region.box or any("value" in given(plane) for plane in planes if plane is not None)
+    own = region.ball or region.box or any(plane.value is not None for plane in planes if plane is not None)
     return bool(own) or any(_has_coordinates(part) for _, part in _parts(region) if isinstance(part, Region))
 
 
@@ -486,9 +443,8 @@ def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Itera
     if len(present) != 1:
         have = f", not {listed(present)}" if present else ""
         yield loc, f"give exactly one of {_ONE_OF}{have}"
-    for key in ("below", "above"):
-        half_space: HalfSpace | None = getattr(region, key)
-        if half_space is not None and len(given(half_space) & {"fraction", "value"}) != 1:
+    for key, half_space in (("below", region.below), ("above", region.above)):
+        if half_space is not None and (half_space.fraction is None) == (half_space.value is None):
             yield (*loc, key), "give either fraction or value"
     yield from _check_box(region.box, (*loc, "box"))
     for part_loc, part in _parts(region):
@@ -534,56 +490,40 @@ def _is_too_large(region: Region, regions: dict[str, Region]) -> bool:
     return False
 
 
-# --- inclusions ---
-
-
-def check_inclusions(study: Study) -> Iterator[Finding]:
-    """Everything that is wrong with the inclusions, and with the models that may leave them out."""
-    yield from named_twice("inclusions", study.inclusions or (), "inclusion")
-    for place, part in enumerate(study.inclusions or ()):
+def _check_inclusions(study: Study) -> Iterator[Finding]:
+    """What is wrong with the inclusions, and with the models that may leave them out."""
+    inclusions, info = study.inclusions or (), study.study
+    yield from named_twice("inclusions", inclusions, "inclusion")
+    for place, part in enumerate(inclusions):
         loc: Loc = ("inclusions", place)
-        yield from _check_place(part, loc)
-        ratios = [part.poisson_ratio, study.tissue.poisson_ratio if study.tissue is not None else None]
-        if part.poisson_ratio is not None and any(ratio is not None and ratio <= 0.0 for ratio in ratios):
-            yield (
-                (*loc, "poisson_ratio"),
-                "where ratios differ each must be above 0; leave it out, or give others",
-            )
-    yield from _check_homogeneous(study)
-
-
-def _check_place(part: Inclusion, loc: Loc) -> Iterator[Finding]:
-    present = given(part) & {"ball", "box", "group"}
-    if len(present) != 1:
-        yield loc, f"give exactly one of ball, box, group{f', not {listed(present)}' if present else ''}"
-    yield from _check_box(part.box, (*loc, "box"))
-
-
-def _check_box(box: Box | None, loc: Loc) -> Iterator[Finding]:
-    """What is wrong with a box: corners that are not lowest and highest."""
-    if box is None or box.min is None or box.max is None:
-        return
-    for axis, low, high in zip("xyz", box.min, box.max, strict=True):
-        if low >= high:
-            yield (*loc, "max"), f"must be above min along {axis}: {high:g} m is not above {low:g} m"
-
-
-def _check_homogeneous(study: Study) -> Iterator[Finding]:
-    info = study.study
-    for place, name in enumerate((info and info.homogeneous) or ()):
+        present = given(part) & {"ball", "box", "group"}
+        if len(present) != 1:
+            yield loc, f"give exactly one of ball, box, group{f', not {listed(present)}' if present else ''}"
+        yield from _check_box(part.box, (*loc, "box"))
+        if part.poisson_ratio is not None and min(part.poisson_ratio, study.tissue.poisson_ratio) <= 0.0:
+            text = "where ratios differ each must be above 0; leave it out, or give others"
+            yield (*loc, "poisson_ratio"), text
+    for place, name in enumerate(info.homogeneous):
         loc = ("study", "homogeneous", place)
-        if not study.inclusions:
+        if not inclusions:
             yield loc, "decides nothing without [[inclusions]]; leave it out"
-        elif name not in (info.models or ()):
-            yield loc, unknown(name, list(info.models or ()), "model of this study")
+        elif name not in info.models:
+            yield loc, unknown(name, list(info.models), "model of this study")
         elif name == info.reference:
             yield loc, f"{shown(name)} is the reference, which has to know the inclusions"
 
 
-# --- What is wrong with [[measured]] tables, each with the rest of the study ---
+def _check_box(box: Box | None, loc: Loc) -> Iterator[Finding]:
+    """What is wrong with a box: corners that are not lowest and highest."""
+    for axis, low, high in zip("xyz", box.min, box.max, strict=True) if box is not None else ():
+        if low >= high:
+            yield (*loc, "max"), f"must be above min along {axis}: {high:g} m is not above {low:g} m"
 
 
-def check_measured(study: Study) -> Iterator[Finding]:
+# --- measured tables ---
+
+
+def _check_measured(study: Study) -> Iterator[Finding]:
     """What is wrong with the measured tables, each with the rest of the study."""
     yield from named_twice("measured", study.measured or (), "table")
     for place, table in enumerate(study.measured or ()):
@@ -606,7 +546,7 @@ def pushing(study: Study) -> list[str]:
     """Names of the constraints whose force goes with a depth: contacts, indenters, and movements of a region."""
     return [
         part.name
-        for part in study.constraints or ()
+        for part in study.constraints
         if part.kind in ("contact", "indenter")
         or (part.kind == "constrained" and any(part.displacement or ()))
     ]
@@ -656,8 +596,6 @@ def check_measured_cases(study: Study, axes: Mapping[str, tuple[Sequence[Any], s
 
 
 def _check_factors(study: Study, table: Measured, place: int) -> Iterator[Finding]:
-    if study.load is None or not study.load.factors:
-        return
     history = study.load.history
     largest = max(map(abs, history))
     for point in (None, *table.points):
@@ -665,10 +603,8 @@ def _check_factors(study: Study, table: Measured, place: int) -> Iterator[Findin
         if factor is not None and not any(same_load(factor, step, largest) for step in history):
             where = f" (line {point.line} of its file)" if point is not None and point.line else ""
             steps = ", ".join(f"{step:g}" for step in history[:8])
-            yield (
-                ("measured", place, "load_factor"),
-                f"{factor:g}{where} is no step of the load history, which has {steps}",
-            )
+            text = f"{factor:g}{where} is no step of the load history, which has {steps}"
+            yield ("measured", place, "load_factor"), text
             return
 
 
@@ -687,29 +623,18 @@ _WANTED = {  # kind of pydantic error -> what the value must be
 
 
 def validate(data: Mapping[str, Any], source: Source) -> tuple[Study | None, list[Finding]]:
-    """The study in `data`, as parsed from TOML, or None and what is wrong with it.
+    """The study in `data`, as parsed from TOML, or None and what is wrong: its keys, or what they say together.
 
-    Where keys are faulty, the checks between keys run on what is left. Of either kind of problem one more than
-    can be told is enough: some take a search for the name that was meant.
+    One more problem than can be told is enough: some take a search for the name that was meant.
     """
-    findings: list[Finding] = []
-    faulty: set[Loc] = set()
     try:
-        study = Study.model_validate(data, context=Context(source))
+        study = Study.model_validate(data, context=source)
     except ValidationError as error:
         faults = sorted(error.errors(include_url=False), key=lambda details: source.line(_place(details)))
-        findings += map(_finding, faults[: MOST_TOLD + 1])
-        faulty = set(map(_place, faults))
-        study = Study.model_validate(data, context=Context(source, lenient=True))
-    findings += islice(
-        (finding for finding in check(study) if not _inside(finding[0], faulty)), MOST_TOLD + 1
-    )
+        return None, [_finding(details) for details in faults[: MOST_TOLD + 1]]
+    findings = list(islice(check(study), MOST_TOLD + 1))
+    study._source = source
     return (None if findings else study), findings
-
-
-def _inside(loc: Loc, faulty: set[Loc]) -> bool:
-    """Whether the key itself, or a table around it, is known to be faulty."""
-    return any(loc[:end] in faulty for end in range(len(loc) + 1))
 
 
 def _place(details: ErrorDetails) -> Loc:

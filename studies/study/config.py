@@ -6,17 +6,16 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from .checks import check_measured_cases, fits_kind, geometry_spec, validate
-from .errors import MOST_TOLD, Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown
+from .checks import check_measured_cases, fits_kind, geometry_spec, holds_nothing, validate
+from .errors import Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown
 from .fields import FieldRow, field_table, targets, value_at
 from .files import changed_keys, merged
 from .kinds import MAX_NAME, Enters, is_safe_name
-from .loads import KINDS, LOAD_KEYS
-from .registry import BROKEN, FINITE_STRAIN, RENAMED, find, model_names, split
+from .loads import LOAD_KEYS
+from .registry import FINITE_STRAIN, split
 from .schema import Constraint, Region, Study, Tissue
 from .shapes import Geometry as GeometrySpec
 from .sweep import Axis, ResolvedCase, as_written, check_cases, first_case, read_axes, substituted, variations
@@ -36,6 +35,7 @@ __all__ = [
     "expand",
     "field_table",
     "geometry_of",
+    "holds_nothing",
     "load_study",
     "resolved",
 ]
@@ -79,30 +79,26 @@ def load_study(
         data["geometry"] = _surface_geometry(data.get("geometry"), surface)
         _name_after(surface, data.get("study"))
         source = replace(source, trusted=surface.absolute())
-    axes, axis_findings = read_axes(data)
+    axes, findings = read_axes(data)
     base = first_case(data, axes)
     study, faults = validate(base, source)
     at_axis = {axis.target.loc: axis.loc for axis in axes if base is not data}
-    findings = [(at_axis.get(loc, loc), text) for loc, text in faults]
-    findings += axis_findings + _changed_in_vain(axes, changes, data)
-    findings += islice(_check_model_names(data), MOST_TOLD + 1)
-    findings += _check_limits(base, axes, study)
-    findings += _check_held(study)
-    if study is not None and study.measured:
+    findings += [(at_axis.get(loc, loc), text) for loc, text in faults]
+    findings += _changed_in_vain(axes, changes, data)
+    if study is not None:
+        findings += _check_limits(base, axes, study)
         findings += check_measured_cases(study, {a.key: (a.values, a.target.unit) for a in axes})
-    if study is not None and study.inputs is not None:
         findings += variations(study)[1]
-    swept_well = not axis_findings and not any(loc[:1] == ("sweep",) for loc, _ in findings)
-    if axes and swept_well:
-        most = study.study.max_cases if study is not None else 1000
-        known = {loc for loc, _ in findings}
-        cases, faults = check_cases(data, axes, most, source)
-        findings += [(loc, text) for loc, text in faults if loc not in known]
-        if study is not None and study.inputs is not None and not findings:
-            findings += [finding for case in cases for finding in variations(case.study)[1]]
-    if findings or study is None:
+    if study is None or findings:
         raise source.error(findings, base)
-    study._source = source
+    if not axes:
+        return study
+    found, findings = check_cases(data, axes, study.study.max_cases, source)
+    if study.inputs is not None:
+        findings += [finding for case in found for finding in variations(case.study)[1]]
+    if findings:
+        raise source.error(findings, base)
+    study._cases = tuple(found)
     return study
 
 
@@ -129,13 +125,15 @@ def expand(study: Study) -> list[ResolvedCase]:
     StudyError
         more cases than `study.max_cases`, or a case that is wrong.
     """
+    if study._cases is not None:
+        return list(study._cases)
     data = _plain(study)
     axes, findings = read_axes(data)
     if not findings:
-        resolved_cases, findings = check_cases(data, axes, study.study.max_cases, study._source)
+        found, findings = check_cases(data, axes, study.study.max_cases, study._source)
     if findings:
         raise study._source.error(findings, data)
-    return resolved_cases
+    return found
 
 
 def resolved(study: Study) -> dict[str, Any]:
@@ -332,55 +330,19 @@ def _name_after(surface: Path, study: Any) -> None:
         )
 
 
-def _check_model_names(data: Mapping[str, Any]) -> Iterator[Finding]:
-    known = model_names()
-    study = data.get("study")
-    names = study.get("models") if isinstance(study, dict) else None
-    for place, name in enumerate(names if isinstance(names, list) else []):
-        if isinstance(name, str) and name not in known:
-            base, colon, solver = name.partition(":")
-            if base in RENAMED:
-                yield ("study", "models", place), f"{name} is now {RENAMED[base]}{colon}{solver}"
-            else:
-                yield ("study", "models", place), "; ".join([unknown(name, known, "model"), *BROKEN.values()])
-
-
-def holds_nothing(study: Study) -> bool:
-    """Whether no constraint holds or supports a part of the body, so that elements have no answer."""
-    kinds = [KINDS[constraint.kind] for constraint in study.constraints or () if constraint.kind]
-    return not any(kind.holds or kind.supports for kind in kinds)
-
-
-def _check_held(study: Study | None) -> Iterator[Finding]:
-    reference = study.study.reference if study is not None else None
-    if study is None or reference not in model_names():
+def _check_limits(data: Mapping[str, Any], axes: Sequence[Axis], study: Study) -> Iterator[Finding]:
+    """What is wrong with [limits] of a sound study."""
+    if study.limits is None:
         return
-    if find(reference)[0].volumetric and holds_nothing(study):
-        text = f"nothing is held, so {reference} has no answer; hold a region, by kind fixed or constrained"
-        yield ("study", "reference"), text
-
-
-def _check_limits(data: Mapping[str, Any], axes: Sequence[Axis], study: Study | None) -> Iterator[Finding]:
-    """What is wrong with [limits]; `study` is the first case where that is sound."""
-    limits = data.get("limits")
-    along = limits.get("along") if isinstance(limits, dict) else None
-    if not isinstance(along, str):
-        return
-    loads = _loads(data)
+    along, loads, at_work = study.limits.along, _loads(data), _loads_at_work(_plain(study))
+    others = [key for key in loads if key in {*at_work, *(axis.key for axis in axes)} - {along}]
     if along != ALL_LOADS and along not in loads:
         yield ("limits", "along"), unknown(along, [ALL_LOADS, *loads], "load")
-    elif study is not None:
-        at_work = _loads_at_work(_plain(study))
-        others = [key for key in loads if key in {*at_work, *(axis.key for axis in axes)} - {along}]
-        if not at_work if along == ALL_LOADS else along not in at_work:
-            yield ("limits", "along"), "has no value, or is zero; a search needs a load to start from"
-        elif others and along != ALL_LOADS:
-            text = f'{shown(others[0])} is a load too, which would not rise; along = "{ALL_LOADS}" raises all'
-            yield ("limits", "along"), text
-        yield from _check_limits_reference(study.study.reference)
-
-
-def _check_limits_reference(reference: str | None) -> Iterator[Finding]:
-    if reference is None or split(reference)[0] not in FINITE_STRAIN:
+    elif not at_work if along == ALL_LOADS else along not in at_work:
+        yield ("limits", "along"), "has no value, or is zero; a search needs a load to start from"
+    elif others and along != ALL_LOADS:
+        text = f'{shown(others[0])} is a load too, which would not rise; along = "{ALL_LOADS}" raises all'
+        yield ("limits", "along"), text
+    elif (reference := study.study.reference) is None or split(reference)[0] not in FINITE_STRAIN:
         wanted = " or ".join(f'"{name}"' for name in FINITE_STRAIN)
         yield ("limits",), f"the limits are those against finite strain: they need study.reference = {wanted}"

@@ -18,10 +18,7 @@ from pydantic import (
     ConfigDict,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
-    ValidationError,
     ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    field_validator,
     model_validator,
 )
 from pydantic.fields import FieldInfo
@@ -166,7 +163,7 @@ Axis = Literal["x", "y", "z"]
 Rotation = Annotated[Literal["none", "global"], BeforeValidator(_no_nodal_rotation)]
 
 
-# --- What all tables of a study file share: unknown keys are errors, and a lenient pass goes on past faults ---
+# --- What all tables of a study file share ---
 
 
 class Enters(Enum):
@@ -182,24 +179,11 @@ class Enters(Enum):
         return next((mark for mark in field.metadata if isinstance(mark, cls)), None)
 
 
-@dataclass(frozen=True)
-class Context:
-    """How to validate: the file that paths are relative to, and whether to go on past faults.
-
-    A lenient pass puts None in the place of every faulty or missing value, so that checks across keys can still
-    tell what else is wrong. Its result is never handed out.
-    """
-
-    source: Source
-    lenient: bool = False
-
-
 def as_path(value: Any, info: ValidationInfo) -> Path:
-    """The file that a study names, located. Raises ValueError."""
+    """The file that a study names, located from the `Source` that is the context. Raises ValueError."""
     if not isinstance(value, str | Path):
         raise ValueError(f"must be a file's path, not {type_name(value)}")
-    context = info.context
-    return context.source.locate(value) if isinstance(context, Context) else Path(value)
+    return info.context.locate(value) if isinstance(info.context, Source) else Path(value)
 
 
 class Table(BaseModel):
@@ -222,30 +206,10 @@ class Table(BaseModel):
         """As JSON text, which `model_validate_json` takes back."""
         return super().model_dump_json(**{"exclude_none": True, **options})
 
-    @field_validator("*", mode="wrap")
-    @classmethod
-    def _pass_over_faults(
-        cls, value: Any, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
-    ) -> Any:
-        try:
-            return handler(value)
-        except ValidationError:
-            if isinstance(info.context, Context) and info.context.lenient:
-                return None
-            raise
-
     @model_validator(mode="before")
     @classmethod
-    def _prepare(cls, data: Any, info: ValidationInfo) -> Any:
-        if not isinstance(data, dict):
-            return data
-        data = cls.with_defaults(data)
-        if isinstance(info.context, Context) and info.context.lenient:
-            names = {field.alias or name: field for name, field in cls.model_fields.items()}
-            missing = {name: None for name, field in names.items() if field.is_required()}
-            keep_all = cls.model_config.get("extra") == "allow"
-            data = missing | {key: value for key, value in data.items() if keep_all or key in names}
-        return data
+    def _prepare(cls, data: Any) -> Any:
+        return cls.with_defaults(data) if isinstance(data, dict) else data
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:

@@ -436,7 +436,7 @@ def _push(constraint: AnyConstraint, on: Placed) -> Acts:
 
 def _check(constraint: AnyConstraint, region: frozenset[str]) -> Mapping[str, str]:  # noqa: ARG001
     if constraint.shape is None:
-        return {}  # a faulty one, which has been told
+        return {}
     given = [key for key in _CAPSULE if key in constraint.model_fields_set]
     if constraint.shape == "capsule":
         return {key: "is missing; a capsule needs length and along" for key in _CAPSULE if key not in given}

@@ -805,6 +805,17 @@ class Study(Table):
     )
 
     _source: Source = PrivateAttr(default=Source())
+    _cases: tuple[Any, ...] | None = PrivateAttr(default=None)  # of its sweep, where they are made already
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the keys are equal; where a study came from is no part of it."""
+        return isinstance(other, Study) and self.__dict__ == other.__dict__
+
+    def model_copy(self, **options: Any) -> Study:
+        """A copy with changes, whose cases are its own."""
+        copy = super().model_copy(**options)
+        copy._cases = None
+        return copy
 
     def vdm_parameters(self) -> Vdm:
         """The parameters of [vdm] that are set."""

@@ -378,7 +378,6 @@ def check_cases(
             place = loc if label == _BASE else at_axis.get(loc, loc)  # the base is what the file says
             faults.setdefault(place, []).append(f"{text} (in the case {label})" if label else text)
         if study is not None:
-            study._source = source
             resolved.append(ResolvedCase(label, swept, swept_units, study))
     found = [
         (loc, texts[0] + (f"; {len(texts) - 1} more cases are alike" if len(texts) > 1 else ""))
@@ -639,7 +638,6 @@ def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
             if findings:
                 return [], findings
             continue
-        other._source = study._source
         found.append(Variation(changed, other))
     return found, findings
 

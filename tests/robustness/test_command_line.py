@@ -284,13 +284,11 @@ def test_every_problem_of_a_study_at_once(tmp_path: Path) -> None:
         a=('"5 kPa"', '"5 kg"'),
         b=("poisson_ratio = 0.49", "poisson_ratio = 0.6"),
         c=("mesh_size", "mesh_sice"),
-        d=('region = "finger"', 'region = "thumb"'),
     )
     result = vdmbench("check", "small.toml", cwd=tmp_path)
     assert result.returncode == 2
     lines = result.stderr.splitlines()
-    assert len(lines) >= 4
-    for words in ("youngs_modulus", "poisson_ratio", "mesh_size", "thumb"):
+    for words in ("youngs_modulus", "poisson_ratio", "mesh_size"):
         assert any(words in line and "small.toml:" in line for line in lines), words
     problems = json.loads(vdmbench("check", "small.toml", "--json", cwd=tmp_path).stdout)["problems"]
     assert {problem["line"] for problem in problems} >= {11, 14, 15}

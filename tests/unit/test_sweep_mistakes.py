@@ -209,15 +209,10 @@ def test_a_sweep_that_is_no_table_is_told(tmp_path: Path) -> None:
         load(tmp_path, "sweep = 3\n" + SWEPT)
 
 
-def test_all_faulty_axes_are_told_at_once_with_faults_elsewhere(tmp_path: Path) -> None:
-    base = SWEPT.replace("youngs_modulus = 5e3", "youngs_modulus = 0")
+def test_all_faulty_axes_are_told_at_once(tmp_path: Path) -> None:
     sweep = '"tissue.poisson_ratio" = [0.3, 0.7]\n"geometry.mesh_size" = ["5 mm", "50 mm"]'
-    places = [where for where, _ in sweep_problems(tmp_path, sweep, base)]
-    assert places == [
-        f"{base.split(chr(10)).index('youngs_modulus = 0') - base.count(chr(10)) - 1}: tissue.youngs_modulus",
-        '0: sweep."tissue.poisson_ratio"',
-        '1: sweep."geometry.mesh_size"',
-    ]
+    places = [where for where, _ in sweep_problems(tmp_path, sweep)]
+    assert places == ['0: sweep."tissue.poisson_ratio"', '1: sweep."geometry.mesh_size"']
 
 
 def test_the_number_of_cases_allowed_can_be_raised(tmp_path: Path) -> None:
