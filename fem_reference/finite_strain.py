@@ -179,6 +179,10 @@ class FiniteStrainProblem:
         """The tangent in the state of a substep, in its scaled units."""
         return self._newton.tangent(reached.state, reached.load)
 
+    def softest(self, reached: Substep) -> float:
+        """Lowest eigenvalue of the tangent in the state of a substep, over that at rest; see `Newton.softest`."""
+        return self._newton.softest(reached)
+
     def solve_nodal(self, forces: Array, prescribed: Array) -> Fields:
         """Follow a history of dead forces and displacements that are given at the nodes.
 
@@ -271,9 +275,7 @@ class FiniteStrainProblem:
         scaled = [
             replace(self._scaled(b), depth=float(d) / length) for b, d in zip(loads, depths, strict=True)
         ]
-        record = Record(
-            self.system, self._assembly, self.shear_modulus, len(depths), outputs, self._newton.rest
-        )
+        record = Record(self._newton, self.shear_modulus, len(depths), outputs)
         force = np.full((len(depths), 3), np.nan)
         penalty, area, inside = np.full((3, len(depths)), np.nan)
         self._newton.contact = contact
@@ -333,9 +335,7 @@ class FiniteStrainProblem:
             For a load of the wrong shape or with values that are not finite, and for an unknown output.
         """
         check_outputs(outputs, OUTPUTS)
-        record = Record(
-            self.system, self._assembly, self.shear_modulus, len(loads), outputs, self._newton.rest
-        )
+        record = Record(self._newton, self.shear_modulus, len(loads), outputs)
         factorisations, steps = self.solver.factorisations, self.solver.steps
         for number, attempt in self.substeps(loads, path):
             record.add(number, attempt)

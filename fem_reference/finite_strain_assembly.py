@@ -155,6 +155,13 @@ class ElementAssembly:
             strains.append(0.5 * np.linalg.eigvalsh(k.doubled_strain)[..., -1])
         return deviation, np.concatenate(strains)
 
+    def least_volume_ratio(self, displacement: Array) -> tuple[float, Array]:
+        """Least det F at the quadrature points, and that point in the undeformed body, (3,) [m]."""
+        ratios = np.concatenate([self._kinematics(part, displacement).dilation for part in self._parts()])
+        cell, point = np.unravel_index(ratios.argmin(), ratios.shape)
+        corners = self.mesh.points[self.mesh.tetrahedra[cell]]
+        return 1.0 + float(ratios[cell, point]), self._barycentric[point] @ corners
+
     @property
     def volumes(self) -> Array:
         """(m, Q) undeformed volumes that the quadrature points stand for, in units of the mean edge cubed."""

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.loads import gather_to_vertices
-from fem_reference.newton import Substep
+from fem_reference.newton import Newton, Substep
 from fem_reference.outputs import strain_below
 from fem_reference.recovery import StrainRecovery
 from fem_reference.solution import CONVERGED, Solution, Status
-from fem_reference.system import LinearSystem
+from fem_reference.surface_stretch import BIOT, CREASE, most_compressed
+from solver_common.arrays import Array
 
 OUTPUTS = {
     "condition_estimate": "condition number of the scaled tangent's symmetric part in that state, see"
@@ -33,6 +33,9 @@ _FAILURES = {
     "linear-solver": "the tangent system could not be solved, as where a body buckles",
 }
 _REMEDY = "load the body less, or use a finer mesh where it deforms most"
+_SOFTER = "load the body less, hold it more softly there (`elastic`), or round the rim of what holds it"
+_SNAPS = "load the body less, or give a displacement in place of the load"
+_NO_STIFFNESS = 0.2  # of that at rest: steps of a 256th end within the root of that of a limit point
 _TOO_SMALL = Status(
     "too-small",
     "the load strains the body by less than the rounding of its coordinates",
@@ -46,23 +49,20 @@ class Record:
 
     Attributes
     ----------
-    system : that of the undeformed body
-    assembly : for integrals over the deformed body
+    newton : of the body
     shear_modulus : unit of stress [Pa]
     steps : number of load steps
     outputs : names out of `OUTPUTS`
-    rest : the undeformed body
     """
 
-    system: LinearSystem
-    assembly: ElementAssembly
+    newton: Newton
     shear_modulus: float
     steps: int
     outputs: frozenset[str]
-    rest: Substep
 
     def __post_init__(self) -> None:
         steps, outputs = self.steps, self.outputs
+        self.system, self.assembly = self.newton.system, self.newton.assembly
         mesh = self._mesh = self.system.mesh
         self._recovery = StrainRecovery(mesh, finite=True) if "discretisation_error" in outputs else None
         nodes = len(mesh.surface_nodes)
@@ -78,7 +78,7 @@ class Record:
         self._iterations = np.zeros(steps, dtype=np.int64)
         self._seconds = np.zeros(steps)
         self._status = [Status("not-reached", "an earlier load step failed", "see that step")] * steps
-        self._converged = self.rest  # the last one, of any step
+        self._converged = self.newton.rest  # the last one, of any step
         # a step under way: number, load factor, last attempt
         self._open: tuple[int, float, Substep] | None = None
         self._clock = time.perf_counter()
@@ -99,7 +99,7 @@ class Record:
         """Take in that there is no further attempt: a step that was not finished has failed."""
         if self._open:
             number, reached, attempt = self._open
-            self._close(number, reached, _failure(number, reached, attempt))
+            self._close(number, reached, self._failure(number, reached, attempt))
 
     def solution(
         self, seconds_setup: float, parameters: dict[str, float | str], condition: Mapping[int, float]
@@ -119,6 +119,36 @@ class Record:
             parameters=parameters,
             scalars=self._scalars,
         )
+
+    def _failure(self, number: int, reached: float, attempt: Substep) -> Status:
+        """Why a load step failed: what became of the iterations, and what the last state in equilibrium shows."""
+        if attempt.code == _TOO_SMALL.code:
+            return _TOO_SMALL
+        told = (
+            f"{_FAILURES[attempt.code]} beyond {reached:.4g} of load step {number}"
+            f" (after {len(attempt.residuals) - 1} iterations the relative residual was"
+            f" {attempt.residuals[-1]:.1e})"
+        )
+        u = self._converged.state.displacement
+        if attempt.code == "passed" or not u.any():
+            return Status(attempt.code, told, _REMEDY)
+        worst = most_compressed(self._mesh, u * self._mesh.mean_edge)
+        volume, place = self.assembly.least_volume_ratio(u)
+        told += (
+            f"; before it the surface at {_at(worst.place)} is compressed to {worst.least:.3f} of its length, and"
+            f" the least volume ratio J is {volume:.3f} at {_at(place)}"
+        )
+        across = np.sqrt(worst.other)
+        if worst.plane < CREASE:
+            told += f"; creasing: a free surface creases there below {CREASE / across:.2f}"
+            if worst.plane < BIOT:
+                told += f" and is unstable below {BIOT / across:.2f}, so that no smooth solution is stable"
+            return Status(attempt.code, told, _SOFTER)
+        softest = self.newton.softest(self._converged)
+        told += f"; the lowest eigenvalue of the tangent is {softest:.2g} of that at rest"
+        if softest < _NO_STIFFNESS:
+            return Status(attempt.code, f"{told}: a limit point, no equilibrium is near beyond it", _SNAPS)
+        return Status(attempt.code, told, _REMEDY)
 
     def _close(self, number: int, reached: float, status: Status) -> None:
         self._status[number] = status
@@ -160,12 +190,5 @@ class Record:
             self._scalars[name][number] = values[name]
 
 
-def _failure(number: int, reached: float, attempt: Substep) -> Status:
-    if attempt.code == _TOO_SMALL.code:
-        return _TOO_SMALL
-    return Status(
-        attempt.code,
-        f"{_FAILURES[attempt.code]} beyond {reached:.4g} of load step {number}"
-        f" (after {len(attempt.residuals) - 1} iterations the relative residual was {attempt.residuals[-1]:.1e})",
-        _REMEDY,
-    )
+def _at(place: Array) -> str:
+    return "({:.1f}, {:.1f}, {:.1f}) mm".format(*(1e3 * place))

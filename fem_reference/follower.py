@@ -18,7 +18,7 @@ from solver_common.quadrature import facet_quadrature
 
 def curved_area_vectors(mesh: TetMesh) -> Array:
     """(F, Q, 3) area vectors at the points of `facet_quadrature`, whose weighted sum is an integral [m^2]."""
-    by_r, by_s = _derivatives(facet_quadrature()[0])
+    by_r, by_s = facet_derivatives(facet_quadrature()[0])
     corners = mesh.node_points[mesh.facet_nodes]
     return np.asarray(0.5 * np.cross(by_r @ corners, by_s @ corners))
 
@@ -35,7 +35,7 @@ class FollowerPressure:
         self._pattern = pattern
         points, weights = facet_quadrature()
         self._shape = triangle_p2(points)
-        self._by_r, self._by_s = _derivatives(points)
+        self._by_r, self._by_s = facet_derivatives(points)
         self._weights = 0.5 * weights  # dr ds fills half a unit square
 
     def forces(self, positions: Array, facet_pressure: Array) -> Array:
@@ -75,7 +75,7 @@ class FollowerPressure:
         return self._mesh.facet_nodes[loaded], facet_pressure[loaded] * self._weights
 
 
-def _derivatives(barycentric: Array) -> tuple[Array, Array]:
+def facet_derivatives(barycentric: Array) -> tuple[Array, Array]:
     """(Q, 6) derivatives of `triangle_p2` along the edges from vertex 0 to 1 (r) and from 0 to 2 (s)."""
     b = barycentric
     zero = np.zeros(len(b))

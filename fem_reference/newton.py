@@ -19,12 +19,15 @@ from fem_reference.finite_contact import RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
 from fem_reference.progress import Progress, tell
+from fem_reference.surface_stretch import BIOT, most_compressed
 from fem_reference.system import LinearSystem, hold_components
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
 from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
 
 _LEAST_STEP = 2.0**-8  # of a load step
+# The same beyond Biot's stretch, where shorter ones do not help: see the README, "Where it ends".
+_LEAST_CRUMPLED = 2.0**-5
 _EASY = 5  # Newton iterations after which the next substep may be longer
 _LEAST_DAMPING = 0.1  # of an update that would turn an element inside out
 # Newton far from its goal may raise the residual, but one that keeps doing so may end on another branch.
@@ -34,6 +37,7 @@ _ROUNDING = 4e-15  # of a displacement gradient, with room
 _LEFT = 1e-3
 # A linear solve need not be more exact than the quadratic model it serves.
 _LEAST_FORCING, _MOST_FORCING = 1e-10, 1e-3
+_INVERSE_ITERATIONS, _INVERSE_TOLERANCE = 8, 1e-6  # for an eigenvalue of which one digit is told
 
 
 @dataclass(frozen=True)
@@ -183,10 +187,16 @@ class Newton:
                 state, reached = attempt.state, target
                 if len(attempt.residuals) - 1 <= _EASY:
                     step *= 2.0
-            elif step <= _LEAST_STEP or attempt.code == "too-small":
+            elif step <= self._least_step(state) or attempt.code == "too-small":
                 return
             else:
                 step *= 0.5
+
+    def _least_step(self, state: State) -> float:
+        """How short a substep from a state may be: a surface that is no longer stable does not repay short ones."""
+        mesh = self.system.mesh
+        crumpled = most_compressed(mesh, state.displacement * mesh.mean_edge).plane < BIOT
+        return _LEAST_CRUMPLED if crumpled else _LEAST_STEP
 
     def solve(self, state: State, load: ScaledLoad, load_factor: float, reached: float = 0.0) -> Substep:
         """Newton iterations from a state, at load factor `reached`, to equilibrium under a load."""
@@ -318,6 +328,26 @@ class Newton:
             return self._vector(nodal.reshape(-1, 3), volume)
 
         return TangentSystem(true, half, action)
+
+    def softest(self, reached: Substep) -> float:
+        """Lowest eigenvalue of the tangent in a state, over the stiffness at rest; NaN where it has none.
+
+        Among the isochoric modes it is 1 at rest and 0 at a limit point. By inverse iteration, from that state's
+        displacement: it may be one of the lowest where several are near each other.
+        """
+        n, kept = self.system.n_displacements, self.system.kept
+        tangent = self.tangent(reached.state, reached.load)
+        x = np.where(self.system.held[kept], 0.0, reached.state.displacement[kept]).ravel()
+        ratio = np.nan
+        for _ in range(_INVERSE_ITERATIONS):
+            pull = np.zeros(self.system.size)
+            pull[:n] = self.system.stiffness @ (x / np.linalg.norm(x))
+            found, solved = self.solver.solve(tangent, pull, _INVERSE_TOLERANCE)
+            x = found[:n]
+            if not solved:
+                return np.nan
+            ratio = float(x @ pull[:n]) / float(x @ (self.system.stiffness @ x))
+        return ratio
 
     def _stiffness(self, blocks: Array) -> bsr_array:
         inner, held = self._inner, self.system.held[self.system.kept]

@@ -264,7 +264,7 @@ for _model in (
     _elements(name="fem-coarse", version="4", prepare=_coarse, cost=costs.coarse, takes=_takes(_ONE, DEAD)),
     _elements(
         name="fem",
-        version="4",
+        version="5",
         prepare=_finite_strain,
         cost=costs.finite_strain,
         takes=_takes(_BOTH, DEAD) | {"law": _ONE, "indenter": _ONE},

@@ -1,0 +1,64 @@
+"""What a failure of the finite-strain solver tells: what was found, where, and what to do."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from fem_reference.finite_strain import FiniteStrainProblem
+from fem_reference.surface_stretch import BIOT, most_compressed
+from tests.unit.fem_shapes import Array, Body, mapped_box
+
+
+def _problem(body: Body, held: Array, poisson_ratio: float = 0.4999) -> FiniteStrainProblem:
+    return FiniteStrainProblem(
+        *body.arrays, youngs_modulus=1.0, poisson_ratio=poisson_ratio, density=1.0, held=held
+    )
+
+
+def test_the_stretches_of_a_surface_that_are_known() -> None:
+    """Each face of a box has two of its stretches; the place is that of the shortest in plane strain."""
+    body = mapped_box((2, 2, 2), lambda x: x + np.array([3.0, 0.0, 0.0]))
+    mesh = _problem(body, body.surface[:, 2] == 0.0).mesh
+    stretches = np.array([0.5, 0.8, 2.5])
+    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
+    worst = most_compressed(mesh, mesh.node_points @ (np.diag(stretches) @ turn) - mesh.node_points)
+    assert_allclose([worst.least, worst.other], [0.5, 0.8], rtol=1e-12, atol=0)
+    assert_allclose(worst.plane, 0.5 * np.sqrt(0.8), rtol=1e-12, atol=0)
+    assert worst.place[2] in (0.0, 1.0), "the faces whose stretches are 0.5 and 0.8"
+    assert 3.0 < worst.place[0] < 4.0
+
+
+def test_a_rim_that_creases_is_named_and_ends_the_way_soon() -> None:
+    body = mapped_box((2, 2, 2), lambda x: x)
+    problem = _problem(body, body.surface[:, 2] == 0.0)
+    load = body.load(1.0 * body.facets_where(lambda x: x[:, 2] == 1.0))
+    attempts = [attempt for _, attempt in problem.substeps([load])]
+    last = [attempt for attempt in attempts if attempt.converged][-1]
+    worst = most_compressed(problem.mesh, last.state.displacement * problem.mesh.mean_edge)
+    assert worst.plane < BIOT
+    assert attempts[-1].load_factor - last.load_factor >= 2.0**-5, "no shorter steps beyond Biot's stretch"
+    solution = problem.solve([load])
+    (status,) = solution.status
+    x, y, z = 1e3 * worst.place
+    assert f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm is compressed to {worst.least:.3f}" in status.message
+    assert "creasing" in status.message
+    assert "`elastic`" in status.remedy
+    assert solution.scalars["load_factor"][0] == last.load_factor, "the state up to there is kept"
+
+
+def test_a_limit_point_is_named() -> None:
+    """A shallow arch under its weight, just before it snaps through."""
+
+    def arch(x: Array) -> Array:
+        return np.c_[x[:, 0], 0.2 * x[:, 1], 0.8 * x[:, 0] * (1.0 - x[:, 0]) + 0.05 * (x[:, 2] - 0.5)]
+
+    body = mapped_box((10, 2, 1), arch)
+    x = body.surface[:, 0]
+    problem = _problem(body, (x < 1e-9) | (x > 1.0 - 1e-9))
+    (status,) = problem.solve([body.load(gravity=(0.0, 0.0, -0.1))]).status
+    assert not status.ok
+    assert "a limit point" in status.message
+    assert "displacement in place of the load" in status.remedy
+    small = [a for _, a in problem.substeps([body.load(gravity=(0.0, 0.0, -1e-4))])][-1]
+    assert_allclose(problem.softest(small), 1.0, rtol=0.05, atol=0)
