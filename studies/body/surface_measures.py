@@ -67,7 +67,7 @@ def turns(points: Array, displacements: Array, weights: Array) -> Array:
     """(S, 3, 3) R - I, R the rotation of each deformed surface (S, N, 3): the finite one of weighted least squares.
 
     Kabsch (1976, doi 10.1107/S0567739476001873): the polar factor of sum_i w_i y_i x_i^T about the centroids. By
-    Rodrigues' formula of its rotation vector, so that of a small turn nothing is lost beside I.
+    Rodrigues' formula of its rotation vector, so that of a small turn nothing is lost beside I; of 1e-12 rad, none.
     """
     from scipy.spatial.transform import Rotation  # slow to load
 
@@ -75,6 +75,9 @@ def turns(points: Array, displacements: Array, weights: Array) -> Array:
     left, _, right = np.linalg.svd(np.einsum("n,sni,nj->sij", weights, x + displacements, x))
     left[:, :, 2] *= np.linalg.det(left @ right)[:, None]  # no reflection
     vectors = Rotation.from_matrix(left @ right).as_rotvec()
+    vectors[np.linalg.norm(vectors, axis=1) < 1e-12] = (
+        0.0  # near rounding, where a differential turn is as good
+    )
     angles = np.linalg.norm(vectors, axis=1)[:, None, None]
     axes = np.cross(vectors[:, None, :], -np.eye(3)) / np.where(angles > 0.0, angles, 1.0)
     return np.asarray(np.sin(angles) * axes + 2.0 * np.sin(0.5 * angles) ** 2 * axes @ axes)
@@ -97,7 +100,12 @@ def rigid_parts(points: Array, displacements: Array, weights: Array) -> Array:
     """(S, N, 3) the best-fit rigid motion of each of some displacements (S, N, 3), its rotation finite [m]."""
     x = points - np.average(points, axis=0, weights=weights)
     shift = np.average(displacements, axis=1, weights=weights)[:, None]
-    return np.asarray(shift + np.einsum("sij,nj->sni", turns(points, displacements, weights), x))
+    turned = turns(points, displacements, weights)
+    found = shift + np.einsum("sij,nj->sni", turned, x)
+    still = ~turned.any(axis=(1, 2))
+    tiny = displacements[still]
+    found[still] = tiny - without_motions(rigid_motions(points, weights), tiny, weights)
+    return np.asarray(found)
 
 
 def without_motions(motions: Array, displacements: Array, weights: Array) -> Array:

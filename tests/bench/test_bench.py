@@ -159,9 +159,7 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
     )
     assert found["Fastest frame of a contact at an error of at most 25 %"] == "bem, mass-spring, 10 µs"
     page = bench_html(Bench({}, [linear, boundary, vector, spring, slow]))
-    assert "<p>ball, 100 nodes: fem-linear, 100 µs; undecided: bem, vdm-vector.</p>" in page.replace(
-        "\u00a0", " "
-    )
+    assert ">ball, 100 nodes: fem-linear, 100 µs; undecided: bem, vdm-vector.<" in page.replace("\u00a0", " ")
     assert told(boundary, spring)[fastest] == "undecided: bem", "none is surely within"
     assert told(spring)[fastest] == "none"
 

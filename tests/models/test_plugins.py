@@ -40,7 +40,7 @@ def _plugin(change: Change) -> models.Model:
         return models.SetUp(solve)
 
     about = models.find("vdm-paper")[0]
-    own = {"name": "theirs", "prepare": prepare, "solvers": ("linear",), "benched": (), "takes": {}}
+    own = {"name": "theirs", "prepare": prepare, "solvers": ("linear",), "benched": (), "takes": {}, "of_solvers": {}}
     return dataclasses.replace(about, **own)  # type: ignore[return-value]
 
 

@@ -209,7 +209,7 @@ def test_a_refusal_ends_when_the_model_learns(monkeypatch: pytest.MonkeyPatch) -
 # --- every field of the schema ---
 
 WHOLE: dict[str, Any] = STUDY | {
-    "study": {"name": "keys", "models": sorted(all_models()), "reference": "fem"},
+    "study": {"name": "keys", "models": [*sorted(all_models()), "vdm-paper:figure-8"], "reference": "fem"},
     "regions": STUDY["regions"]
     | {
         "leaf": {"below": {"axis": "y", "fraction": 0.2}},  # which nothing names
