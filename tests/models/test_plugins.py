@@ -40,7 +40,14 @@ def _plugin(change: Change) -> models.Model:
         return models.SetUp(solve)
 
     about = models.find("vdm-paper")[0]
-    own = {"name": "theirs", "prepare": prepare, "solvers": ("linear",), "benched": (), "takes": {}, "of_solvers": {}}
+    own = {
+        "name": "theirs",
+        "prepare": prepare,
+        "solvers": ("linear",),
+        "benched": (),
+        "takes": {},
+        "of_solvers": {},
+    }
     return dataclasses.replace(about, **own)  # type: ignore[return-value]
 
 
