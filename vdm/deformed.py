@@ -30,16 +30,17 @@ class DeformableSurface:
             sparse.coo_array((thirds, (surface.triangles.ravel(), facets)), shape=(surface.n_nodes, n_facets))
         )
 
-    def at(self, displacement: Array) -> DeformedSurface:
-        """The surface after a displacement (N, 3) [m]."""
-        return DeformedSurface(self, self.rest + displacement)
+    def at(self, displacement: Array, rotation: Array | None = None) -> DeformedSurface:
+        """The surface after a displacement (N, 3) [m]; `rotation` as in `DeformedSurface`, where it is known."""
+        return DeformedSurface(self, self.rest + displacement, rotation)
 
 
 class DeformedSurface:
     """Positions (N, 3) [m] about the rest centroid, and what follows from them."""
 
-    def __init__(self, body: DeformableSurface, positions: Array) -> None:
+    def __init__(self, body: DeformableSurface, positions: Array, rotation: Array | None = None) -> None:
         self.body = body
+        self._rotation = rotation
         self.positions = positions
         # (3, F) arrays: plain products are several times faster than np.cross, and take than an index in brackets
         corners = np.take(np.ascontiguousarray(positions.T), body.corners, axis=1)
@@ -62,8 +63,13 @@ class DeformedSurface:
 
     @cached_property
     def rotation(self) -> Array:
-        """(3, 3) Q that minimises `sum a_i |x_i - X_i Q|^2` over the nodes, in rows, about their centroids."""
-        return best_rotation(self.body.levers.T @ self.positions)
+        """(3, 3) Q that minimises `sum a_i |x_i - X_i Q|^2` over the nodes, in rows, about their centroids.
+
+        Of a body in parts (N, 3, 3): that of each node's part.
+        """
+        return (
+            best_rotation(self.body.levers.T @ self.positions) if self._rotation is None else self._rotation
+        )
 
 
 def best_rotation(moment: Array) -> Array:
@@ -87,8 +93,9 @@ def follow(force: Array, rest_vectors: Array, state: DeformedSurface) -> Array:
     size = np.linalg.norm(vectors, axis=1)
     loaded = np.flatnonzero(force.any(axis=1))
     turned = np.zeros_like(force)
-    f = force[loaded] @ state.rotation
-    before = (rest_vectors[loaded] / rest_size[loaded, None]) @ state.rotation
+    turn = state.rotation if state.rotation.ndim == 2 else state.rotation[loaded]
+    f = (force[loaded, None] @ turn)[:, 0]
+    before = (rest_vectors[loaded, None] / rest_size[loaded, None, None] @ turn)[:, 0]
     after = vectors[loaded] / size[loaded, None]
     axis = np.cross(before, after)
     cosine = np.einsum("ic,ic->i", before, after)[:, None]

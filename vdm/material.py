@@ -38,6 +38,7 @@ NO_NODAL = (
 # nodes of the coarse body of the sparse form: fewer lose thin lobes, more make a frame and a set-up long
 COARSE_NODES_RANGE = (200, 2000)
 COARSE_NODES = 1000
+MOST_PARTS = 64
 NODE_MODULI = ("bulk_modulus", "foundation")
 EDGE_MODULI = ("connectivity_modulus", "surface_tension", "stretch_stiffness")
 MODULI = (*NODE_MODULI, *EDGE_MODULI, "shear_modulus")
@@ -62,6 +63,7 @@ class Parameters:
     shear_modulus : mu [Pa], one number (boundary, sparse, mass-spring)
     coarse_nodes : most nodes of the coarse body, 200 to 2,000; a surface of no more is taken whole. None: 1,000
         (sparse)
+    parts : how many the nonlinear solver cuts the body into; None: as many as its rotations need (boundary, sparse)
     poisson_ratio : of what is inside, above -1 and at most 1/2: the fluid that keeps the volume (boundary, sparse)
     rotation : which rotation is free of tension: none, or one for the body (vector)
     ground : (3N, 3N) force of springs between the surface and a rigid ground over the displacement of the nodes
@@ -79,6 +81,7 @@ class Parameters:
     stretch_stiffness: float | Array | None = None
     shear_modulus: float | None = None
     coarse_nodes: int | None = None
+    parts: int | None = None
     poisson_ratio: float = 0.5
     rotation: Rotation = "global"
     ground: sparse.csr_array | None = None
@@ -95,6 +98,10 @@ class Parameters:
             raise ParameterError(
                 f"coarse_nodes must be a whole number from {fewest} to {most:,}, not {count!r}"
             )
+        if self.parts is not None and not (
+            isinstance(self.parts, int | np.integer) and 1 <= self.parts <= MOST_PARTS
+        ):
+            raise ParameterError(f"parts must be a whole number from 1 to {MOST_PARTS}, not {self.parts!r}")
         ground = self.ground
         if ground is not None and not (_is_square_of_threes(ground.shape) and np.isfinite(ground.data).all()):
             raise ParameterError(f"ground must be finite and of shape (3N, 3N), not {ground.shape}")
@@ -239,6 +246,8 @@ class Parameters:
         }
         if self.coarse_nodes is not None:
             record["coarse_nodes"] = float(self.coarse_nodes)
+        if self.parts is not None:
+            record["parts"] = float(self.parts)
         if self.tension_stiffening:
             record["tension_stiffening"] = self.tension_stiffening
         return record

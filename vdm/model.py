@@ -28,6 +28,7 @@ from vdm.formulations.paper import PaperFormulation
 from vdm.formulations.vector import VectorFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.mesh_error import MeshError
+from vdm.parts.solve import PartsSolver
 from vdm.peers.bem import BoundaryFormulation
 from vdm.peers.bem_sparse import SparseFormulation
 from vdm.peers.mass_spring import MassSpringFormulation
@@ -58,7 +59,7 @@ class Solver(Protocol):
         ...
 
 
-FactorSolver = LinearSolver | QuasiLinearSolver | NonlinearSolver
+FactorSolver = LinearSolver | QuasiLinearSolver | NonlinearSolver | PartsSolver
 FORMULATIONS: dict[str, type[Formulation]] = {
     cls.name: cls
     for cls in (
@@ -199,7 +200,11 @@ class Model:
         iterations = np.empty(count, dtype=np.int64)
         status: list[Status] = []
         fields = {name: np.empty((count, n_nodes)) for name in self.outputs}
+        told: list[dict[str, float]] = []
         last: Step | None = None
+        seconds_setup = self.seconds_setup
+        if isinstance(self.solver, PartsSolver) and loads:
+            seconds_setup += self.solver.prepare(loads)
         self._warm_up(loads)
         for k, load in enumerate(loads):
             start = time.perf_counter()
@@ -215,6 +220,7 @@ class Model:
             last = judged(step, found)
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
             path_error[k], mesh_error[k] = found.path, self._of_mesh(load, step)
+            told.append(self.solver.scalars(load, step) if isinstance(self.solver, PartsSolver) else {})
             status.append(reserved(last.status, self.bending_error, mesh_error[k], self.formulation))
             for name, values in fields.items():
                 values[k] = self._point_field(name, step)
@@ -225,13 +231,14 @@ class Model:
             energy=energy,
             iterations=iterations,
             status=tuple(status),
-            seconds_setup=self.seconds_setup,
+            seconds_setup=seconds_setup,
             seconds_per_step=seconds,
             parameters=self._record(),
             scalars={
                 "relative_residual": residual,
                 **({} if np.isnan(path_error).all() else {"path_error": path_error}),
                 **({} if np.isnan(mesh_error).all() else {"mesh_error": mesh_error}),
+                **{name: np.array([one.get(name, np.nan) for one in told]) for name in _names(told)},
                 **(self.condition_scalars(count) if condition else {}),
             },
             point_fields=fields,
@@ -305,6 +312,11 @@ class Model:
         return traction
 
 
+def _names(told: Sequence[dict[str, float]]) -> list[str]:
+    """All names in some dictionaries, in the order in which they first come."""
+    return list(dict.fromkeys(name for one in told for name in one))
+
+
 def _results(step: Step) -> tuple[Array, Array, float]:
     return step.displacement, step.reaction_force, step.energy
 
@@ -337,7 +349,11 @@ def _make_solver(
         "refined": lambda: LinearSolver(problem, "single"),
         "lu": lambda: LuSolver(problem, constraint_method, penalty),
         "quasi-linear": lambda: QuasiLinearSolver(problem, volume_row or "corrected"),
-        "nonlinear": lambda: NonlinearSolver(problem),
+        "nonlinear": lambda: (
+            PartsSolver(problem)
+            if isinstance(problem.formulation, BoundaryFormulation)
+            else NonlinearSolver(problem)
+        ),
         "bicg": lambda: KrylovSolver(problem, "bicg", tolerance=tolerance),
         "bicg-cold": lambda: KrylovSolver(problem, "bicg", warm_start=False, tolerance=tolerance),
         "cg": lambda: KrylovSolver(problem, "cg", tolerance=tolerance, factor=at_rest()),

@@ -41,6 +41,7 @@ PARAMETERS = {
     "surface_tension": ("tension T", "N/m"),
     "stretch_stiffness": ("stretch stiffness E_s", "N/m"),
     "coarse_nodes": ("nodes of the coarse body", "1"),
+    "parts": ("parts", "1"),
     "penalty": ("penalty alpha", "1"),
     "tolerance": ("tolerance", "1"),
 }
@@ -151,7 +152,6 @@ class Declared:
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
     of_any_modulus : solvers whose set-up serves the same body with any Young's modulus
-    turns_as_one : whether its nonlinear solver has one rotation for the whole body
     of_solvers : of these the ones that only some of its solvers read, and which
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
@@ -176,7 +176,6 @@ class Declared:
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()
     one_over_modulus: bool = False
-    turns_as_one: bool = False
     family: Family = Family.ENGINES
 
 

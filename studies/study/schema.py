@@ -451,6 +451,13 @@ class VdmTable(Table):
     coarse_nodes: int | None = Field(
         None, description="sparse form: most nodes of its coarse body, 200 to 2,000", ge=200, le=2000
     )
+    parts: int | None = Field(
+        None,
+        description="boundary forms, nonlinear solver: into how many parts the body is cut; left out: as many as"
+        " its rotations need",
+        ge=1,
+        le=64,
+    )
     compressibility: Literal["tissue", "fluid"] | None = Field(
         None,
         description="boundary form: the tissue's own Poisson's ratio, or a fluid that keeps the volume;"

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from ..study.registry import Family, all_models, family_of, is_surface, model_names, split
+from ..study.registry import Family, family_of, is_surface, model_names, split
 from .acceptance import FRAME_TIME, UNDECIDED, WITHIN, YES
 from .digest import Digest
 from .why_not import COMPRESSIBILITY, MESH, MODEL, REFERENCE, SMALL_STRAIN, TIME, Reason
@@ -110,8 +110,6 @@ def _nonlinear(digest: Digest, model: str) -> NextStep:
         return NextStep("nonlinear stops", name=partner)
     if partner not in model_names():
         return NextStep("no nonlinear")
-    if all_models()[split(model)[0]].turns_as_one and digest.mostly_rigid:
-        return NextStep("bends", name=partner)
     return NextStep("try nonlinear", name=partner)
 
 

@@ -27,7 +27,7 @@ from ..study.schema import Study, extras_for, extras_of
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
 _FORCES = ("fixed", "contact", "line", "traction")  # kinds of constraints that hold, or act by forces
-_NO_MODULI = ("coarse_nodes", "compressibility", "rotation")  # of the parameters of [vdm]
+_NO_MODULI = ("coarse_nodes", "compressibility", "parts", "rotation")  # of the parameters of [vdm]
 _DIGITS = 12  # of a load beside others: less is rounding
 _LIMITS = 2  # of the rules of measures/limits.py, one more where a limit changes
 # of a set-up's inputs those that enter its key by what reads them; any other enters whole

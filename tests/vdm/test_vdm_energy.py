@@ -178,13 +178,13 @@ def test_the_body_is_carried_only_by_supports_that_move_as_one():
     ).solver
     rest = np.zeros_like(POINTS)
     shift = np.where(ends[:, None], [0.01, 0.02, 0.0], 0.0)
-    moved, turn = rod._carried(rest, shift)
+    moved, turn = rod.carried(rest, shift)
     assert_allclose(turn, np.eye(3), rtol=0.0, atol=1e-12)
     assert_allclose(moved, np.tile([0.01, 0.02, 0.0], (len(POINTS), 1)), rtol=0.0, atol=1e-12)
     finger = POINTS[:, 2] > 0.03
     pushed = model("vector", constrained=finger).solver
     dent = np.where(finger[:, None], [0.0, 0.0, -0.01], 0.0)
-    moved, turn = pushed._carried(rest, dent)
+    moved, turn = pushed.carried(rest, dent)
     assert_allclose(turn, np.eye(3), rtol=0.0, atol=0.0)
     assert_allclose(moved, dent, rtol=0.0, atol=0.0)
 

@@ -14,7 +14,7 @@ from tests.report.runs import make_case, make_run, measured_anew
 from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
-from vdmbench.study.registry import all_models, family_of
+from vdmbench.study.registry import family_of
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import Verdict, verdicts
 from vdmbench.verdict.why_not import (
@@ -146,16 +146,6 @@ def test_the_advice_where_small_strain_has_ended_is_the_nonlinear_solver() -> No
     assert advice(growing(worse)) == "nonlinear no better"
     stopped = linear | {"vdm-vector:nonlinear": (0.01, math.nan, math.nan)}
     assert advice(growing(stopped, stopped={"vdm-vector:nonlinear": 1})) == "nonlinear stops"
-
-
-def test_a_body_that_swings_on_its_support_is_not_sent_to_a_solver_with_one_rotation() -> None:
-    case = growing({"bem": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)})
-    one_rotation = all_models()["bem"].turns_as_one
-    for share, kind in ((0.5, "try nonlinear"), (0.98, "bends" if one_rotation else "try nonlinear")):
-        own = case.metrics["fem"]
-        rigid = dataclasses.replace(own["rigid_share"], values=np.full(3, share))
-        swung = dataclasses.replace(case, metrics={**case.metrics, "fem": {**own, "rigid_share": rigid}})
-        assert advice(swung, model="bem") == kind
 
 
 def test_a_model_that_is_far_off_at_any_load_is_not_sent_to_its_nonlinear_solver() -> None:

@@ -54,11 +54,16 @@ class Rims:
     follows: Array
 
     @classmethod
-    def of(cls, surface: SurfaceMesh, held: Mask) -> Rims:
-        """The surface with its facets between held nodes (N,) and free ones cut in three."""
+    def of(cls, surface: SurfaceMesh, held: Mask, shared: Mask | None = None) -> Rims:
+        """The surface with its facets between held nodes (N,) and free ones cut in three.
+
+        Edges between `shared` nodes (N,), which other bodies have too, stay: what they would add is not shared.
+        """
         n = surface.n_nodes
         edges = surface.edges
         is_cut = held[edges[:, 0]] != held[edges[:, 1]]
+        if shared is not None:
+            is_cut &= ~shared[edges].all(axis=1)
         ends = np.where(held[edges[is_cut, :1]], edges[is_cut], edges[is_cut, ::-1])
         k = len(ends)
         places = sparse.csr_array(
@@ -139,9 +144,18 @@ def _without(vectors: Array, basis: Array) -> Array:
 
 
 def _cut(triangles: Index, new: Index, points: Array) -> Index:
-    """The facets, those with new nodes on two sides (F, 3; -1 for none) in three: a corner and the rest."""
-    is_cut = (new >= 0).any(axis=1)
-    # side 0 is after corner 0; the corner between the two sides comes first
+    """The facets, those with new nodes on two sides (F, 3; -1 for none) in three: a corner and the rest.
+
+    One with a single new node is cut in two.
+    """
+    sides = (new >= 0).sum(axis=1)
+    is_cut, halved = sides == 2, sides == 1
+    # side 0 is after corner 0
+    around = (np.argmax(new[halved], axis=1)[:, None] + np.arange(3)) % 3
+    i, j, k = np.take_along_axis(triangles[halved], around, axis=1).T
+    ij = new[halved].max(axis=1)
+    halves = [np.stack([i, ij, k], axis=1), np.stack([ij, j, k], axis=1)]
+    # the corner between the two sides comes first
     turned = (np.argmin(new[is_cut], axis=1)[:, None] + 2 + np.arange(3)) % 3
     a, b, c = np.take_along_axis(triangles[is_cut], turned, axis=1).T
     ab, _, ca = np.take_along_axis(new[is_cut], turned, axis=1).T
@@ -149,4 +163,5 @@ def _cut(triangles: Index, new: Index, points: Array) -> Index:
     lengths = np.linalg.norm(points[[ab, b]] - points[[c, ca]], axis=2)
     third, second = np.where(lengths[0] < SHORTER * lengths[1], [ab, c], [b, ca])
     thirds = [(a, ab, ca), (ab, b, second), (third, c, ca)]
-    return np.concatenate([triangles[~is_cut], *(np.stack(part, axis=1) for part in thirds)])
+    whole = triangles[sides == 0]
+    return np.concatenate([whole, *(np.stack(part, axis=1) for part in thirds), *halves])

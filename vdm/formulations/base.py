@@ -62,8 +62,6 @@ class Formulation(ABC):
     components: ClassVar[int]
     has_matrix: bool = True  # whether `stiffness` gives one
     left_out_far: float = LEFT_OUT  # of a contact's columns far away, see `vdm.solvers.columns`
-    # whether at large displacements one rotation is that of the whole body
-    turns_as_one: ClassVar[bool] = False
     # what to do where a motion that costs no energy is left free
     remedy: ClassVar[str] = "hold an area of the surface, the nodes of some of its facets"
     columns: Columns

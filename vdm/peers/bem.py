@@ -43,11 +43,12 @@ class BoundaryFormulation(DisplacementFormulation):
     no such constraint; dP is then its mean pressure, `-kappa (sum g_i.u_i) / V`.
 
     Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`). Other nodes may be held later, at the
-    mesh's own resolution.
+    mesh's own resolution. Edges between `shared` nodes (N,), which other bodies have too, are not cut.
 
     Dense, (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
-    At large displacements, of an incompressible body, S turns with the rotation Q that best fits the surface:
+    At large displacements, of an incompressible body, it is one of the parts of `vdm.parts.body`. S turns with the
+    rotation Q that best fits the part's surface:
     `E = 1/2 w.S w`, w = (positions) Q^T - (rest), Q from `sum a_i |x_i - X_i Q|^2`, areas a_i and arms X_i at rest.
     As Q turns with the positions, the force is `Q^T S w` less `lambda x (a_i X_i Q)`: forces that take off the
     moment of the first term, so that the internal force has neither a resultant nor a moment.
@@ -61,17 +62,23 @@ class BoundaryFormulation(DisplacementFormulation):
     """
 
     name = "bem"
-    turns_as_one = True
     matrix: Array
     _rims: Rims
 
-    def __init__(self, surface: SurfaceMesh, parameters: Parameters, held: Mask | None = None) -> None:
+    def __init__(
+        self,
+        surface: SurfaceMesh,
+        parameters: Parameters,
+        held: Mask | None = None,
+        shared: Mask | None = None,
+    ) -> None:
         super().__init__(surface, parameters)
         modulus = parameters.shear_modulus
         if modulus is None or np.ndim(modulus) != 0 or not modulus > 0.0:
             raise ParameterError(f"the {self.name} formulation needs shear_modulus, one positive number")
         self.shear_modulus = float(modulus)
         self.poisson_ratio = 0.5 if parameters.is_filled else parameters.poisson_ratio
+        self._shared = shared
         try:
             self._assemble(np.zeros(surface.n_nodes, np.bool_) if held is None else held)
         except linalg.LinAlgError as error:
@@ -102,7 +109,7 @@ class BoundaryFormulation(DisplacementFormulation):
 
     def _refined(self, held: Mask) -> Array:
         """(3N, 3N) S of the surface, cut along the rims of what is held."""
-        self._rims = Rims.of(self.surface, held)
+        self._rims = Rims.of(self.surface, held, self._shared)
         near = np.concatenate([held, np.zeros(self.resolved.n_nodes - len(held), np.bool_)])
         return self._dense(self._rims, near)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
 
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Index, Mask
 from vdm.constraints import Load
-from vdm.deformed import DeformedSurface, best_rotation
+from vdm.deformed import best_rotation
 from vdm.problem import Problem, Step
 from vdm.solution import Status
 from vdm.solvers.anderson import Anderson
@@ -31,35 +32,109 @@ TOLERANCE = 1e-8
 VOLUME_TOLERANCE = 1e-13  # of |V - V0| / V0
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
-# angle between a body's rotation and its supports' [rad] from which an answer with one rotation has a reservation:
-# the silicone phantoms, 3.3 and 4.7 times as long as thick, bend too little by 0.7 to 1.3 times this angle (tried
-# from 0.05 to 0.27), and with the linear solver they are off by half of it
-BENT = 0.1
-UNBENT = "use finite elements of finite strain; of a slender body that bends the linear solver is closer"
-
-NOT_CONVERGED = Status(
-    "not-converged",
-    "the nonlinear balance was not found, the load step halved six times",
-    "use smaller load steps, a smaller load or a stiffer material",
-)
+NOT_CONVERGED = "the nonlinear balance was not found{reached}, the load step halved six times"
+REMEDY = "use smaller load steps, a smaller load or a stiffer material; a body may snap through there"
 
 
 @dataclass(frozen=True)
-class _Balance:
-    """A state and what its balance lacks; `turn` (3, 3) is how the supports are turned from rest.
+class Balance:
+    """A state of n nodes, m pressures and what its balance lacks.
 
-    `volume` is the one that the formulation keeps.
+    Attributes
+    ----------
+    x : (n, d) unknowns
+    pressure : (m,) [Pa]
+    gap : (m,) change of each volume that is kept, over its size at rest
+    lacking : (n, d) generalised force, internal less applied [N]
+    scale : the larger of the internal and the applied forces [N]
+    parts : of the body, what its own correction reads again
     """
 
-    turn: Array
     x: Array
-    pressure: float
-    state: DeformedSurface
-    volume: float
-    column: Array
-    row: Array
+    pressure: Array
+    gap: Array
     lacking: Array
     scale: float
+    parts: Any = field(repr=False)
+
+
+class Large(Protocol):
+    """A body at large displacements: n nodes, of which the first N are the surface's, and m kept volumes."""
+
+    rest: Array  # (n, 3) [m]
+    free: Mask  # (n,)
+    n_pressures: int
+
+    def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
+        """What a state lacks."""
+        ...
+
+    def correction(self, balance: Balance, lacking: Array, gap: Array, turn: Array) -> tuple[Array, Array]:
+        """Change of x (n_free, d) and of the pressures (m,) that supplies forces (n, d) and closes gaps (m,).
+
+        By a slope near the state; `turn` (3, 3) is how the supports are turned from rest.
+        """
+        ...
+
+    def energy(self, balance: Balance) -> float:
+        """Elastic energy [J]."""
+        ...
+
+    def mean_pressure(self, pressure: Array) -> float:
+        """By volume [Pa]."""
+        ...
+
+    def reserved(self, status: Status) -> Status:
+        """The status of an answer, with what the body itself does not follow."""
+        ...
+
+    def scalars(self, balance: Balance) -> dict[str, float]:
+        """What is told of an answer beside its displacement."""
+        ...
+
+
+class Whole:
+    """A formulation's body as it is, with the factor at rest for its slope: one fluid, one pressure."""
+
+    n_pressures = 1
+
+    def __init__(self, problem: Problem, factor: BorderedFactor) -> None:
+        self.problem, self.factor = problem, factor
+        self.rest, self.free = problem.body.rest, problem.free
+        self._free_nodes = np.flatnonzero(self.free)
+        zero = np.zeros((len(self.rest), problem.formulation.components))
+        self.rest_volume = problem.formulation.kept_volume(zero, problem.deformed(zero))
+
+    def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
+        problem, nodes = self.problem, self._free_nodes
+        state = problem.deformed(x)
+        column, row = problem.formulation.deformed_columns(state)
+        internal = problem.formulation.deformed_internal_force(x, state)
+        applied = problem.deformed_force(load, state, column) + float(pressure[0]) * column
+        scale = max(float(np.linalg.norm(internal[nodes])), float(np.linalg.norm(applied[nodes])))
+        gap = problem.formulation.kept_volume(x, state) / self.rest_volume - 1.0
+        return Balance(x, pressure, np.array([gap]), internal - applied, scale, (state, column, row))
+
+    def correction(self, balance: Balance, lacking: Array, gap: Array, turn: Array) -> tuple[Array, Array]:
+        nodes = self._free_nodes
+        target = np.zeros(self.factor.n_border)
+        target[0] = -gap[0] * self.rest_volume
+        # the pressure's column stays that of the rest state: it moves no balance, only the way there
+        force, row = (turned(part[nodes], turn.T).reshape(-1) for part in (-lacking, balance.parts[2]))
+        change, border = self.factor.solve_updated(force, target, row)
+        return turned(change.reshape(len(nodes), -1), turn), border[:1]
+
+    def energy(self, balance: Balance) -> float:
+        return self.problem.formulation.deformed_energy(balance.x, balance.parts[0])
+
+    def mean_pressure(self, pressure: Array) -> float:
+        return float(pressure[0])
+
+    def reserved(self, status: Status) -> Status:
+        return status
+
+    def scalars(self, balance: Balance) -> dict[str, float]:  # noqa: ARG002 - one body has no more to tell
+        return {}
 
 
 @dataclass(frozen=True)
@@ -68,7 +143,7 @@ class _Converged:
 
     load: Load
     x: Array
-    pressure: float
+    pressure: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,12 +152,14 @@ class DeformedStep(Step):
 
     Attributes
     ----------
-    lacking : (n_held, d) generalised force that it lacks at held nodes
+    lacking : (n_held, d) generalised force that the supports give, internal less applied [N]
     stored : elastic energy [J]
+    balance : of all nodes of the body, None of a failed step and where a solver has none
     """
 
     lacking: Array = field(repr=False)
     stored: float
+    balance: Balance | None = field(default=None, repr=False)
 
     @property
     def energy(self) -> float:
@@ -95,40 +172,45 @@ class DeformedStep(Step):
 
 
 class NonlinearSolver:
-    """Finds x and dP with `internal(x) - dP column(x) - force(x) = 0` and V(x) = V0 exactly.
+    """Finds x and the pressures with `internal(x) - sum p column(x) - force(x) = 0` and each V(x) = V0 exactly.
 
-    V is the volume that the formulation keeps: the polyhedron's, but of the printed form.
+    V is the volume that the body keeps: the polyhedron's, but of the printed form.
 
-    The rest state's bordered factor, with the current pressure column and volume gradient as border, turns what
-    the balance lacks into a correction; Anderson acceleration mixes the corrections. A last shift along the
-    response to pressure closes the volume to rounding. A load step starts from the last converged one and is
-    halved where it fails; nothing of a failed step is kept. Where the held nodes are moved, the body starts
-    carried along as they are, best fit by a rigid motion, and the factor answers in their frame.
+    The body's slope (`Large.correction`) turns what the balance lacks into a correction, and Anderson acceleration
+    mixes the corrections. A last shift closes the volumes to rounding. A load step starts from the last converged
+    one and is halved where it fails; nothing of a failed step is kept. Where the held nodes are moved, the body
+    starts carried along as they are, best fit by a rigid motion.
 
     Parameters
     ----------
     problem : formulation and supports
+    body : what is solved, None for the formulation's body as it is
+    factor : of the problem, where there is one
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(
+        self, problem: Problem, body: Large | None = None, factor: BorderedFactor | None = None
+    ) -> None:
         self.problem = problem
-        self.factor = BorderedFactor(problem)
-        self.free = problem.free
+        self.factor = factor or BorderedFactor(problem)
+        self.body: Large = body or Whole(problem, self.factor)
+        self.free = self.body.free
         self._free_nodes = np.flatnonzero(self.free)
         self._anderson = Anderson(HISTORY)
-        self.rest_volume = problem.body.at(np.zeros_like(problem.body.rest)).volume
         # a node that leaves the body by several of its sizes will not come back
         size = float(np.ptp(problem.body.rest, axis=0).max())
         self.reach = FURTHEST * size
         n, d = problem.formulation.surface.n_nodes, problem.formulation.components
         answer = np.zeros((n, d))
-        answer[self._free_nodes] = self.factor.response.first
+        answer[problem.free] = self.factor.response.first
+        # the pressure is mixed beside displacements: in units that make its column as long as theirs
+        self._unit = float(np.linalg.norm(answer))
         moved = float(np.abs(problem.formulation.displacement(answer)).max())
-        push = float(np.linalg.norm(problem.formulation.columns.first[self._free_nodes]))
+        push = float(np.linalg.norm(problem.formulation.columns.first[problem.free]))
         self.smallest_force = SMALLEST_MOTION * size / moved * push
         self._rounding = self._moved_by_rounding(size)
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)), weight=0.0)
-        self._rest = _Converged(unloaded, np.zeros((n, d)), 0.0)
+        self._rest = _Converged(unloaded, np.zeros((len(self.free), d)), np.zeros(self.body.n_pressures))
         self._last = self._before = self._rest
         self._largest = 0.0
 
@@ -144,7 +226,7 @@ class NonlinearSolver:
         last = self._last
         x, pressure = self._ahead(load)
         reached, width, iterations = 0.0, 1.0, 0
-        balance: _Balance | None = None
+        balance: Balance | None = None
         while reached < 1.0:
             target = min(reached + width, 1.0)
             found, used = self._solve(_between(last.load, load, target), x, pressure)
@@ -156,48 +238,54 @@ class NonlinearSolver:
                     x, pressure = last.x, last.pressure
                 width *= 0.5
                 if width < SMALLEST_SUBSTEP:
-                    return self._failed(load, x, iterations)
+                    break
                 continue
             balance, x, pressure, reached = found, found.x, found.pressure, target
-        if balance is None:
-            return self._failed(load, x, iterations)
+        if balance is None or reached < 1.0:
+            return self._failed(reached, iterations)
         self._before, self._last = last, _Converged(load, x, pressure)
-        border = np.zeros(self.factor.n_border)
-        border[0] = pressure
-        energy = self.problem.formulation.deformed_energy(x, balance.state)
-        lacking = balance.lacking[self.problem.held_nodes]
         return DeformedStep(
             problem=self.problem,
-            unknown=x,
-            border=border,
+            unknown=x[: self.problem.formulation.surface.n_nodes].copy(),
+            border=self._border(self.body.mean_pressure(pressure)),
             iterations=iterations,
-            lacking=lacking,
-            stored=energy,
+            lacking=balance.lacking[self.problem.held_nodes],
+            stored=self.body.energy(balance),
+            balance=balance,
         )
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
         """The step and what its balance on the deformed surface lacks."""
-        if not step.status.ok:
+        if not isinstance(step, DeformedStep) or step.balance is None:
             return step, Audit(np.nan)
-        turn = self._carried(np.zeros_like(step.unknown), step.unknown)[1]
-        balance = self._balance(turn, load, step.unknown, step.pressure_change)
+        problem, n = self.problem, len(step.unknown)
+        displaced = problem.formulation.displacement
+        balance = self.body.balance(load, step.balance.x, step.balance.pressure)
         residual = float(np.linalg.norm(balance.lacking[self._free_nodes]))
-        gap = abs(balance.volume - self.rest_volume) / self.rest_volume
-        displaced = self.problem.formulation.displacement
         moved = float(np.abs(displaced(step.unknown)).max())
         self._largest = max(self._largest, moved)
-        found = Audit(max(residual / max(balance.scale, self.smallest_force), gap))
-        if not self.problem.force(load).any() and not self.problem.held_unknown(load).any():
+        found = Audit(
+            max(residual / max(balance.scale, self.smallest_force), float(np.abs(balance.gap).max()))
+        )
+        if not problem.force(load).any() and not problem.held_unknown(load).any():
             return step, found
-        step = replace(step, status=self._reserved(step.status, balance.turn, step.unknown))
+        step = replace(step, status=self.body.reserved(step.status))
         # forces that cancel, as a pressure from all sides, move no more than their rounding, however large they are
-        acting = np.abs(self.problem.force(load)) + abs(step.pressure_change) * np.abs(balance.column)
-        largest = max(self._largest, float(np.abs(displaced(self.problem.own_motion(acting))).max()))
+        column = problem.formulation.columns.first
+        acting = np.abs(problem.force(load)) + abs(step.pressure_change) * np.abs(column)
+        largest = max(self._largest, float(np.abs(displaced(problem.own_motion(acting))).max()))
         if self._rounding > ERROR_LIMIT * largest:
             return replace(step, status=_hidden(self._rounding, moved)), found
-        lacking = _turned(balance.lacking, balance.turn.T)
-        change = self.factor.correction(lacking, np.zeros(self.factor.n_border))[0]
-        return step, replace(found, error=float(np.abs(displaced(change)).max()) / largest)
+        turn = self.carried(np.zeros_like(balance.x), balance.x)[1]
+        change = self.body.correction(balance, balance.lacking, np.zeros_like(balance.gap), turn)[0]
+        far = np.zeros_like(balance.x)
+        far[self._free_nodes] = change
+        return step, replace(found, error=float(np.abs(displaced(far[:n])).max()) / largest)
+
+    def _border(self, pressure: float) -> Array:
+        border = np.zeros(self.factor.n_border)
+        border[0] = pressure
+        return border
 
     def _moved_by_rounding(self, size: float) -> float:
         """How far the rounding of positions `size` large moves the body [m], by the forces that it makes."""
@@ -209,7 +297,7 @@ class NonlinearSolver:
         change = self.factor.correction(forces, np.zeros(self.factor.n_border))[0]
         return float(np.abs(formulation.displacement(change)).max())
 
-    def _ahead(self, load: Load) -> tuple[Array, float]:
+    def _ahead(self, load: Load) -> tuple[Array, Array]:
         """Where the last two converged steps point to under a load that goes on as it went between them."""
         before, last = self._before, self._last
         share = _share(before.load, last.load, load)
@@ -217,114 +305,96 @@ class NonlinearSolver:
             return last.x, last.pressure
         return last.x + share * (last.x - before.x), last.pressure + share * (last.pressure - before.pressure)
 
-    def _reserved(self, status: Status, turn: Array, x: Array) -> Status:
-        """A status at x, with what a bend does to a form with one rotation; `turn` is that of the supports."""
-        if not self.problem.formulation.turns_as_one or len(self.problem.held_nodes) == 0:
-            return status
-        own = turn.T @ self.problem.deformed(x).rotation
-        angle = float(np.arccos(np.clip((np.trace(own) - 1.0) / 2.0, -1.0, 1.0)))
-        if not angle > BENT:
-            return status
-        message = (
-            f"the body turns by {np.degrees(angle):.0f} degrees against its supports, which one rotation of the "
-            "whole body does not follow: a slender body bends too little"
-        )
-        return replace(status, message="; ".join(filter(None, (status.message, message))), remedy=UNBENT)
-
-    def _failed(self, load: Load, x: Array, iterations: int) -> Step:
-        lost = np.full_like(x, np.nan)
-        turn = self._carried(np.zeros_like(x), self.problem.held_unknown(load))[1]
+    def _failed(self, reached: float, iterations: int) -> Step:
+        told = f" beyond {reached:.0%} of this load step" if reached > 0.0 else ""
+        surface, d = self.problem.formulation.surface, self.problem.formulation.components
+        lost = np.full((surface.n_nodes, d), np.nan)
         return DeformedStep(
             problem=self.problem,
             unknown=lost,
             border=np.full(self.factor.n_border, np.nan),
             iterations=iterations,
-            status=self._reserved(NOT_CONVERGED, turn, x),
+            status=Status("not-converged", NOT_CONVERGED.format(reached=told), REMEDY),
             lacking=lost[self.problem.held_nodes],
             stored=np.nan,
         )
 
-    def _carried(self, x: Array, held: Array) -> tuple[Array, Array]:
-        """x (N, d) with the held nodes where `held` has them and the others carried along, and the rotation (3, 3).
+    def _held(self, load: Load) -> Array:
+        """(n, d) x of the held nodes of the body, zero elsewhere."""
+        held = np.zeros_like(self._rest.x)
+        held[: self.problem.formulation.surface.n_nodes] = self.problem.held_unknown(load)
+        return held
 
-        Only where the held nodes move as one body, and not along the normals alone, d = 1.
-        """
-        nodes, rest, free = self.problem.held_nodes, self.problem.body.rest, self.free[:, None]
-        left = np.where(free, x, held), np.eye(3)
-        start, end = x[nodes], held[nodes]
-        if x.shape[1] != 3 or np.array_equal(start, end):
-            return left
-        before, after = rest[nodes] + start, rest[nodes] + end
-        middle, centre = before.mean(axis=0), after.mean(axis=0)
-        moment = (before - middle).T @ (after - centre)
-        # what the held nodes leave open, on one line or at one point, is not turned
-        turn = best_rotation(moment + LEAST_TURN * np.linalg.norm(before - middle) ** 2 * np.eye(3))
-        missed = np.linalg.norm((before - middle) @ turn + centre - after)
-        if missed > AS_ONE * np.linalg.norm(after - before):
-            return left
-        return np.where(free, (rest + x - middle) @ turn + centre - rest, held), turn
+    def carried(self, x: Array, held: Array) -> tuple[Array, Array]:
+        """As `carried`, of the body's nodes."""
+        return carried(self.body.rest, self.problem.held_nodes, x, held)
 
-    def _balance(self, turn: Array, load: Load, x: Array, pressure: float) -> _Balance:
-        problem = self.problem
-        state = problem.deformed(x)
-        column, row = problem.formulation.deformed_columns(state)
-        internal = problem.formulation.deformed_internal_force(x, state)
-        applied = problem.deformed_force(load, state, column) + pressure * column
-        nodes = self._free_nodes
-        scale = max(float(np.linalg.norm(internal[nodes])), float(np.linalg.norm(applied[nodes])))
-        volume = problem.formulation.kept_volume(x, state)
-        return _Balance(turn, x, pressure, state, volume, column, row, internal - applied, scale)
-
-    def _solve(self, load: Load, x: Array, pressure: float) -> tuple[_Balance | None, int]:
-        nodes, factor = self._free_nodes, self.factor
-        held = self.problem.held_unknown(load)
-        x = self._carried(x, held)[0]
-        turn = self._carried(np.zeros_like(x), held)[1]
-        # the pressure is mixed beside displacements: in units that make its column as long as theirs
-        unit = float(np.linalg.norm(factor.response.first))
+    def _solve(self, load: Load, x: Array, pressure: Array) -> tuple[Balance | None, int]:
+        nodes, body, unit = self._free_nodes, self.body, self._unit
+        held = self._held(load)
+        x = self.carried(x, held)[0]
+        turn = self.carried(np.zeros_like(x), held)[1]
         # what the last load step learnt of the slope holds here too, nearly
         anderson = self._anderson
         anderson.begin()
         smallest = np.inf
         for iteration in range(MAX_ITERATIONS):
-            if not np.abs(self.problem.formulation.displacement(x)).max() < self.reach:
+            if (
+                not np.abs(self.problem.formulation.displacement(x[: len(self.problem.free)])).max()
+                < self.reach
+            ):
                 return None, iteration
-            balance = self._balance(turn, load, x, pressure)
+            balance = body.balance(load, x, pressure)
             residual = float(np.linalg.norm(balance.lacking[nodes]))
-            gap = (balance.volume - self.rest_volume) / self.rest_volume
             if not np.isfinite(residual) or residual > GROWTH_LIMIT * max(smallest, balance.scale):
                 return None, iteration
             smallest = min(smallest, residual)
-            if residual <= TOLERANCE * max(balance.scale, self.smallest_force) and abs(gap) <= TOLERANCE:
-                return self._close_volume(load, balance), iteration
-            target = np.zeros(factor.n_border)
-            target[0] = -gap * self.rest_volume
-            # the pressure's column stays that of the rest state: it moves no balance, only the way there
-            lacking, row = (
-                _turned(part[nodes], turn.T).reshape(-1) for part in (-balance.lacking, balance.row)
-            )
-            change, border = factor.solve_updated(lacking, target, row)
-            iterate = np.append(_turned(x[nodes], turn.T).reshape(-1), pressure * unit)
-            mixed = anderson.next(iterate, np.append(change, border[0] * unit))
+            if residual <= TOLERANCE * max(balance.scale, self.smallest_force) and (
+                np.abs(balance.gap).max() <= TOLERANCE
+            ):
+                return self._close_volume(load, balance, turn), iteration
+            change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
+            iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
+            mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
             x = x.copy()
-            x[nodes] = _turned(mixed[:-1].reshape(-1, x.shape[1]), turn)
-            pressure = float(mixed[-1]) / unit
+            x[nodes] = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn)
+            pressure = mixed[-len(pressure) :] / unit
         return None, MAX_ITERATIONS
 
-    def _close_volume(self, load: Load, balance: _Balance) -> _Balance | None:
-        shift = _turned(self.factor.response.first, balance.turn)
+    def _close_volume(self, load: Load, balance: Balance, turn: Array) -> Balance | None:
         for _ in range(5):
-            gap = balance.volume - self.rest_volume
-            if abs(gap) <= VOLUME_TOLERANCE * self.rest_volume:
+            if np.abs(balance.gap).max() <= VOLUME_TOLERANCE:
                 return balance
-            amount = -gap / float(np.vdot(balance.row[self._free_nodes], shift))
+            change, pushed = self.body.correction(balance, np.zeros_like(balance.lacking), balance.gap, turn)
             x = balance.x.copy()
-            x[self._free_nodes] += amount * shift
-            balance = self._balance(balance.turn, load, x, balance.pressure + amount)
+            x[self._free_nodes] += change
+            balance = self.body.balance(load, x, balance.pressure + pushed)
         return None
 
 
-def _turned(vectors: Array, turn: Array) -> Array:
+def carried(rest: Array, nodes: Index, x: Array, held: Array) -> tuple[Array, Array]:
+    """x (n, d) with held `nodes` where `held` has them and the others carried along, and the rotation (3, 3).
+
+    Only where the held nodes move as one body, and not along the normals alone, d = 1. `rest` (n, 3): positions.
+    """
+    is_held = np.zeros((len(rest), 1), np.bool_)
+    is_held[nodes] = True
+    left = np.where(is_held, held, x), np.eye(3)
+    start, end = x[nodes], held[nodes]
+    if x.shape[1] != 3 or np.array_equal(start, end):
+        return left
+    before, after = rest[nodes] + start, rest[nodes] + end
+    middle, centre = before.mean(axis=0), after.mean(axis=0)
+    moment = (before - middle).T @ (after - centre)
+    # what the held nodes leave open, on one line or at one point, is not turned
+    turn = best_rotation(moment + LEAST_TURN * np.linalg.norm(before - middle) ** 2 * np.eye(3))
+    missed = np.linalg.norm((before - middle) @ turn + centre - after)
+    if missed > AS_ONE * np.linalg.norm(after - before):
+        return left
+    return np.where(is_held, held, (rest + x - middle) @ turn + centre - rest), turn
+
+
+def turned(vectors: Array, turn: Array) -> Array:
     """Vectors (n, 3) in rows after a rotation; unknowns along the normals (n, 1) stay."""
     return vectors @ turn if vectors.shape[1] == 3 else vectors
 

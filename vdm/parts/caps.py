@@ -1,0 +1,200 @@
+"""A cap: triangles that fill loops of a cut, in the plane of the cut, with the loops' edges as they are."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+from scipy.spatial import Delaunay, cKDTree
+
+from solver_common.arrays import Array, Index, Mask
+
+# nodes inside keep this share of the mesh size from the loop
+CLEAR = 0.6
+SMOOTHINGS = 4
+ROWS = 512  # of points, at once
+
+
+class CutError(ValueError):
+    """Loops that no cap fills; the message says why."""
+
+
+def cap(points: Array, loops: list[Index], normal: Array) -> tuple[Array, Index]:
+    """New nodes (k, 3), and facets (C, 3) that close loops of `points` (N, 3); a new node j has the number N + j.
+
+    A facet's edge on a loop runs against the loop. Seen along `normal`, loops are paired by nesting: what lies
+    inside an odd number of them is filled. New nodes stand in a lattice of the loops' mean edge, and are lifted out
+    of the plane as a harmonic function of the loops' own heights.
+
+    Raises
+    ------
+    CutError
+        loops that cross themselves or each other, seen along the normal, or that run both ways round.
+    """
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    axes = np.stack([first, np.cross(normal, first)], axis=1)
+    nodes = np.concatenate(loops)
+    starts = np.cumsum([0, *map(len, loops)])
+    follower = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in pairwise(starts)])
+    edges = np.stack([np.arange(len(nodes)), follower], axis=1)
+    border = points[nodes] @ axes
+    size = float(np.linalg.norm(border[edges[:, 1]] - border[edges[:, 0]], axis=1).mean())
+    inner = _lattice(border, edges, size)
+    for _ in range(SMOOTHINGS):
+        if not len(inner):
+            break
+        links = _links(_delaunay(np.vstack([border, inner])), len(border) + len(inner))
+        means = (links @ np.vstack([border, inner])) / links.sum(axis=1)[:, None]
+        moved = means[len(border) :]
+        inner = moved[_clear(moved, border, edges, CLEAR * size)]
+    flat = np.vstack([border, inner])
+    triangles = _constrained(flat, _delaunay(flat), edges)
+    triangles = triangles[_inside(flat[triangles].mean(axis=1), border, edges)]
+    triangles = _against(triangles, edges)
+    used = np.unique(triangles)
+    if len(used) != len(flat):  # a node beside the loops' filled side
+        raise CutError("loops of the cut cannot be paired")
+    heights = _harmonic(triangles, points[nodes] @ normal, len(flat))
+    lifted = inner @ axes.T + heights[len(border) :, None] * normal
+    numbers = np.concatenate([nodes, len(points) + np.arange(len(inner))])
+    return lifted, numbers[triangles]
+
+
+def _lattice(border: Array, edges: Index, size: float) -> Array:
+    """(k, 2) points of a lattice of equal triangles inside the loops and clear of them."""
+    low, high = border.min(axis=0), border.max(axis=0)
+    rise = size * np.sqrt(0.75)
+    counts = np.ceil((high - low) / [size, rise]).astype(int) + 2
+    i, j = np.meshgrid(np.arange(counts[0]), np.arange(counts[1]), indexing="ij")
+    grid = np.stack([(i + 0.5 * (j % 2)) * size, j * rise], axis=-1).reshape(-1, 2)
+    middle = 0.5 * (low + high) - 0.5 * np.ptp(grid, axis=0)
+    grid = grid + middle
+    return grid[_clear(grid, border, edges, CLEAR * size)]
+
+
+def _clear(places: Array, border: Array, edges: Index, distance: float) -> Mask:
+    """(n,) whether places (n, 2) lie inside the loops, away from their edges."""
+    start, side = border[edges[:, 0]], border[edges[:, 1]] - border[edges[:, 0]]
+    arms = places[:, None] - start
+    along = np.clip(np.einsum("nec,ec->ne", arms, side) / np.einsum("ec,ec->e", side, side), 0.0, 1.0)
+    gap = np.linalg.norm(arms - along[:, :, None] * side, axis=2).min(axis=1, initial=np.inf)
+    return _inside(places, border, edges) & (gap > distance)
+
+
+def _inside(places: Array, border: Array, edges: Index) -> Mask:
+    """(n,) whether places (n, 2) lie inside an odd number of loops."""
+    (x1, y1), (x2, y2) = border[edges[:, 0]].T, border[edges[:, 1]].T
+    x, y = places[:, :1], places[:, 1:]
+    spans = (y1 > y) != (y2 > y)
+    rise = np.where(y2 == y1, 1.0, y2 - y1)
+    crossed = spans & (x < x1 + (x2 - x1) * (y - y1) / rise)
+    return np.asarray(crossed.sum(axis=1) % 2 == 1)
+
+
+def _delaunay(flat: Array) -> Index:
+    """(T, 3) triangles of points (n, 2)."""
+    return np.asarray(Delaunay(flat).simplices, np.int64)
+
+
+def _links(triangles: Index, n: int) -> sparse.csr_array:
+    """(n, n) ones between neighbours."""
+    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
+    links = sparse.csr_array(sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)))
+    links.data[:] = 1.0
+    return links
+
+
+def _constrained(flat: Array, triangles: Index, edges: Index) -> Index:
+    """The triangulation with all `edges` in it, by flips of the edges that cross them (Sloan 1993)."""
+    triangles = triangles.copy()
+    turn = _area(*flat[triangles].transpose(1, 0, 2)) < 0.0
+    triangles[turn] = triangles[turn][:, ::-1]
+    owner = {}
+    for number, (a, b, c) in enumerate(triangles.tolist()):
+        owner[a, b], owner[b, c], owner[c, a] = number, number, number
+
+    def crosses(p: int, q: int, a: int, b: int) -> bool:
+        if len({p, q, a, b}) < 4:
+            return False
+        x = flat[[p, q, a, b]]
+        return (_area(x[0], x[1], x[2]) > 0.0) != (_area(x[0], x[1], x[3]) > 0.0) and (
+            _area(x[2], x[3], x[0]) > 0.0
+        ) != (_area(x[2], x[3], x[1]) > 0.0)
+
+    for a, b in edges.tolist():
+        if (a, b) in owner or (b, a) in owner:
+            continue
+        crossing = [(p, q) for p, q in owner if p < q and (q, p) in owner and crosses(p, q, a, b)]
+        for _ in range(100 * (len(crossing) + 1)):
+            if not crossing:
+                break
+            p, q = crossing.pop(0)
+            one, two = owner[p, q], owner[q, p]
+            r, s = int(triangles[one].sum() - p - q), int(triangles[two].sum() - p - q)
+            if not (_area(*flat[[r, s, q]]) > 0.0 and _area(*flat[[s, r, p]]) > 0.0):
+                crossing.append((p, q))  # not convex yet
+                continue
+            del owner[p, q], owner[q, p]
+            triangles[one], triangles[two] = (r, s, q), (s, r, p)
+            for number, (i, j, k) in ((one, (r, s, q)), (two, (s, r, p))):
+                owner[i, j], owner[j, k], owner[k, i] = number, number, number
+            if crosses(r, s, a, b):
+                crossing.append((min(r, s), max(r, s)))
+        if (a, b) not in owner and (b, a) not in owner:
+            raise CutError("loops of the cut cross each other, seen along the cut's normal")
+    return triangles
+
+
+def _area(a: Array, b: Array, c: Array) -> Array:
+    """Twice the area of triangles, positive where they turn left."""
+    u, v = b - a, c - a
+    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+
+
+def _against(triangles: Index, edges: Index) -> Index:
+    """The triangles, all turned so that they hold every edge (a, b) of the loops as (b, a)."""
+    halves = {pair for t in triangles.tolist() for pair in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0]))}
+    if all((b, a) in halves for a, b in edges.tolist()):
+        return triangles
+    if all((a, b) in halves for a, b in edges.tolist()):
+        return np.ascontiguousarray(triangles[:, ::-1])
+    raise CutError("loops of the cut cannot be paired")
+
+
+def _harmonic(triangles: Index, heights: Array, n: int) -> Array:
+    """(n,) values, those of the first nodes given, each other the mean of its neighbours'."""
+    known = len(heights)
+    values = np.concatenate([heights, np.zeros(n - known)])
+    if known < n:
+        links = _links(triangles, n)
+        laplacian = sparse.csr_array(sparse.diags_array(links.sum(axis=1)) - links)
+        right = -(laplacian[known:, :known] @ heights)
+        values[known:] = spsolve(sparse.csc_array(laplacian[known:, known:]), right)
+    return values
+
+
+def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
+    """(n,) share of the full solid angle that a closed surface takes at each place (n, 3): 1 inside, 0 outside.
+
+    Van Oosterom and Strackee 1983.
+    """
+    found = np.empty(len(places))
+    for start in range(0, len(places), ROWS):
+        arms = points[triangles][None] - places[start : start + ROWS, None, None]
+        a, b, c = arms.transpose(2, 0, 1, 3)
+        la, lb, lc = (np.linalg.norm(arm, axis=2) for arm in (a, b, c))
+        triple = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
+        below = la * lb * lc
+        for one, other, length in ((a, b, lc), (b, c, la), (c, a, lb)):
+            below += np.einsum("nfi,nfi->nf", one, other) * length
+        found[start : start + ROWS] = np.arctan2(triple, below).sum(axis=1) / (2.0 * np.pi)
+    return found
+
+
+def nearest(places: Array, points: Array) -> Array:
+    """(n,) distance from each place (n, 3) to the nearest of some points."""
+    return np.asarray(cKDTree(points).query(places)[0])

@@ -1,0 +1,207 @@
+"""A closed surface cut into closed parts along its own edges.
+
+A plane across the longest axis of inertia labels the facets of a part. Labels are smoothed until their border is a
+set of simple loops, which a cap fills (`vdm.parts.caps`). Surface nodes stay as they are; caps have new ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from solver_common.arrays import Array, Index, Mask
+from vdm.parts.caps import CutError, cap, nearest, solid_angles
+
+# places of the plane that are tried, as a share of the area beside the middle
+SHIFTS = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12, 0.18, -0.18)
+SWEEPS = 50
+# facets that a part has at least: below, its caps are most of its surface
+SMALLEST = 60
+# of the loops' mean edge: closer to the surface than this, a cap's node leaves no room for a body between
+ROOM = 0.3
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Parts of a body of N nodes.
+
+    Attributes
+    ----------
+    points : (N + k, 3), those of the caps last
+    parts : facets (F_e, 3) of each part's closed surface, outward
+    refused : why no more parts were made, empty where as many were made as were asked for
+    """
+
+    points: Array
+    parts: tuple[Index, ...]
+    refused: str = ""
+
+
+def cut(points: Array, triangles: Index, count: int, apart: Mask | None = None) -> Cut:
+    """Cut the closed surface of N nodes into at least `count` parts, the largest first.
+
+    A fork may fall into more. Where no plane serves, fewer are made, and `Cut.refused` says why. `apart` (N,) marks
+    nodes that a cut keeps two edges away from where another plane allows it: rims of supports and of loads.
+    """
+    parts, refused = [triangles], ""
+    surface = np.asarray(points, np.float64)
+    final: set[int] = set()
+    while len(parts) < count:
+        order = sorted(range(len(parts)), key=lambda k: -len(parts[k]))
+        for largest in (k for k in order if k not in final):
+            try:
+                surface, pieces = _halved(surface, parts[largest], apart)
+            except CutError as error:
+                refused = f"{error}"
+                parts[largest], final = parts[largest], final | {largest}
+                continue
+            final = set()
+            parts[largest : largest + 1] = pieces
+            break
+        else:
+            return Cut(surface, tuple(parts), refused)
+    return Cut(surface, tuple(parts))
+
+
+def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array, list[Index]]:
+    """The points with those of the caps, and the pieces of a part cut across its longest axis.
+
+    Raises
+    ------
+    CutError
+        where no plane cuts it, with what the first one met.
+    """
+    if len(triangles) < 2 * SMALLEST:
+        raise CutError(f"a part of {len(triangles)} facets is too small to be cut")
+    corners = points[triangles]
+    centres = corners.mean(axis=1)
+    areas = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    arms = centres - areas @ centres / areas.sum()
+    normal = np.linalg.eigh((arms * areas[:, None]).T @ arms)[1][:, 2]
+    places = arms @ normal
+    order = np.argsort(places, kind="stable")
+    share = np.cumsum(areas[order]) / areas.sum()
+    first: CutError | None = None
+    second_best: tuple[Array, list[Index]] | None = None
+    for shift in SHIFTS:
+        plane = places[order][np.searchsorted(share, 0.5 + shift)]
+        try:
+            loops, labels = _loops(triangles, places > plane, len(points))
+            found = _closed(points, triangles, labels, loops, normal)
+        except CutError as error:
+            first = first or error
+            continue
+        if apart is None or not _near(triangles, loops, apart, len(points)):
+            return found
+        second_best = second_best or found
+    if second_best is not None:
+        return second_best
+    raise first or CutError("no plane cuts the part")
+
+
+def _near(triangles: Index, loops: list[Index], apart: Mask, n: int) -> bool:
+    """Whether two edges or fewer lead from the loops to a marked node."""
+    reached = np.zeros(n, np.bool_)
+    reached[np.concatenate(loops)] = True
+    for _ in range(2):
+        reached[triangles[reached[triangles].any(axis=1)]] = True
+    return bool((reached[: len(apart)] & apart).any())
+
+
+def _closed(
+    points: Array, triangles: Index, labels: Mask, loops: list[Index], normal: Array
+) -> tuple[Array, list[Index]]:
+    new, facets = cap(points, loops, normal)
+    grown = np.vstack([points, new])
+    _check_inside(grown, triangles, loops, facets, len(points))
+    sides = (np.vstack([triangles[~labels], facets]), np.vstack([triangles[labels], facets[:, ::-1]]))
+    pieces = [piece for side in sides for piece in components(side)]
+    if min(map(len, pieces)) < SMALLEST:
+        raise CutError("a cut would leave a part of a few facets")
+    if not all(volume(grown, piece) > 0.0 for piece in pieces):
+        raise CutError("caps of the cut cross the surface")
+    return grown, pieces
+
+
+def _check_inside(points: Array, triangles: Index, loops: list[Index], facets: Index, n: int) -> None:
+    """Refuses a cap that leaves the part or touches its surface."""
+    border = np.concatenate([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops])
+    if (_keys(facets, n) - _keys(border, n)) & _keys(triangles, n):
+        raise CutError("caps of the cut have an edge of the surface")
+    inner = np.unique(facets[facets >= n])
+    centres = points[facets].mean(axis=1)
+    if not (solid_angles(np.vstack([points[inner], centres]), points, triangles) > 0.5).all():
+        raise CutError("caps of the cut cross the surface")
+    edge = np.linalg.norm(points[border[:, 0]] - points[border[:, 1]], axis=1)
+    others = points[np.unique(triangles)]
+    if len(inner) and (nearest(points[inner], others) < ROOM * np.median(edge)).any():
+        raise CutError("caps of the cut touch the surface")
+
+
+def _keys(rings: Index, n: int) -> set[int]:
+    """One number for each edge between nodes below n, of rings (k, m) of nodes."""
+    start, end = rings.ravel(), np.roll(rings, -1, axis=1).ravel()
+    old = (start < n) & (end < n)
+    return set((np.minimum(start, end)[old] * n + np.maximum(start, end)[old]).tolist())
+
+
+def _loops(triangles: Index, labels: Mask, n: int) -> tuple[list[Index], Mask]:
+    """Border of the labels (F,), smoothed, as loops of nodes that run as the facets labelled False see them."""
+    start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    facet = np.repeat(np.arange(len(triangles)), 3)
+    forward = np.lexsort((end, start))
+    backward = np.lexsort((start, end))
+    neighbour = np.empty(len(start), np.int64)
+    neighbour[forward] = facet[backward]
+    around = neighbour.reshape(-1, 3)
+    labels = labels.copy()
+    for _ in range(SWEEPS):
+        for _ in range(SWEEPS):  # a facet with two neighbours of the other label takes theirs
+            lone = np.flatnonzero((labels[around] != labels[:, None]).sum(axis=1) >= 2)
+            if not len(lone):
+                break
+            for f in lone:
+                if (labels[around[f]] != labels[f]).sum() >= 2:
+                    labels[f] = not labels[f]
+        border = (labels[facet] != labels[neighbour]) & ~labels[facet]
+        pinched = np.bincount(start[border], minlength=n) > 1
+        if not pinched.any():
+            break
+        for node in np.flatnonzero(pinched):
+            star = np.flatnonzero((triangles == node).any(axis=1))
+            labels[star] = 2 * np.count_nonzero(labels[star]) > len(star)
+    else:
+        raise CutError("the border of a cut touches itself")
+    if not border.any():
+        raise CutError("a plane leaves all facets on one side")
+    follower = dict(zip(start[border].tolist(), end[border].tolist(), strict=True))
+    loops = []
+    while follower:
+        loop = [next(iter(follower))]
+        while (node := follower.pop(loop[-1])) != loop[0]:
+            loop.append(node)
+        loops.append(np.array(loop))
+    return loops, labels
+
+
+def components(triangles: Index) -> list[Index]:
+    """The facets (F, 3) by connected closed surface."""
+    nodes, local = np.unique(triangles, return_inverse=True)
+    local = local.reshape(-1, 3)
+    links = sparse.coo_array(
+        (np.ones(2 * len(local)), (local[:, [0, 1]].T.ravel(), local[:, [1, 2]].T.ravel())),
+        shape=(len(nodes),) * 2,
+    )
+    number, of = connected_components(links, directed=False)
+    return [triangles[of[local[:, 0]] == k] for k in range(number)]
+
+
+def volume(points: Array, triangles: Index) -> float:
+    """Of the polyhedron [m^3]."""
+    a, b, c = (points[triangles] - points[triangles].mean(axis=(0, 1))).transpose(1, 0, 2)
+    return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0
