@@ -24,9 +24,7 @@ from vdmbench.report.section_scene import outlines_of
 from vdmbench.scene.inclusions import moduli
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
-from vdmbench.study.checks import validate
 from vdmbench.study.config import geometry_of
-from vdmbench.study.errors import Source
 from vdmbench.study.schema import Study
 from vdmbench.work.keys import case_hash, wanted
 
@@ -180,30 +178,6 @@ def test_keys_have_what_a_model_knows() -> None:
     assert elements["base"] == elements["refusing"]
     assert len({elements[name] for name in ("base", "stiffer", "without")}) == 3
     assert len({case_hash(study(**given), "mesh") for given in tables.values()}) == 4
-
-
-@pytest.mark.parametrize(
-    ("tables", "told"),
-    [
-        (
-            {"inclusions": [UPPER | {"group": "cap"}]},
-            "give exactly one of ball, box, group, not box and group",
-        ),
-        ({"inclusions": [UPPER, UPPER]}, '"upper" is the name of another inclusion'),
-        ({"inclusions": [UPPER | {"poisson_ratio": 0.4}]}, "where ratios differ each must be above 0"),
-        (
-            {"inclusions": [UPPER | {"box": {"min": [0, 0, 1], "max": [1, 1, 0]}}]},
-            "must be above min along z",
-        ),
-        ({"inclusions": [{"name": "a", "group": "a", "youngs_modulus": 1e3}]}, "only a MSH file has named"),
-        ({"study": BASE["study"] | {"homogeneous": ["fem-linear"]}}, "the reference, which has to know"),
-        ({"study": BASE["study"] | {"homogeneous": ["be"]}}, 'did you mean "bem"'),
-        ({"study": BASE["study"] | {"homogeneous": ["bem"]}, "inclusions": []}, "decides nothing"),
-    ],
-)
-def test_mistakes_are_told(tables: dict[str, Any], told: str) -> None:
-    _, faults = validate(BASE | tables, Source())
-    assert any(told in text for _, text in faults), faults
 
 
 def test_it_is_drawn_where_it_is() -> None:

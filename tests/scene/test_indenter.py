@@ -19,9 +19,7 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.store.cases import read_case
-from vdmbench.study.checks import validate
 from vdmbench.study.config import expand, geometry_of
-from vdmbench.study.errors import Source
 from vdmbench.study.schema import Study
 from vdmbench.work.keys import wanted
 from vdmbench.work.plan import make_plan
@@ -204,31 +202,3 @@ def test_what_else_acts_goes_with_its_step(box: Mesh) -> None:
     assert_allclose(both.displacement[0], half.displacement[0], rtol=0, atol=1e-12)
     alone = answer(box, "fem-linear")
     assert abs(both.scalars["indenter_force"][1] / alone.scalars["indenter_force"][0] - 1.0) > 0.01
-
-
-@pytest.mark.parametrize(
-    ("part", "told"),
-    [
-        (
-            {"kind": "indenter", "region": "top", "shape": "sphere", "radius": 0.02},
-            'a length, such as "5 mm"',
-        ),
-        (
-            {"kind": "indenter", "region": "top", "depth": 0.001, "radius": 0.02},
-            "sphere, flat-punch or capsule",
-        ),
-        (TOUCH | {"shape": "capsule"}, "a capsule needs length and along"),
-        (TOUCH | {"length": 0.01}, "belongs to a capsule, not to a sphere"),
-        (TOUCH | {"pressure": 1.0}, "an indenter constraint has no pressure"),
-        (TOUCH | {"depth": 5.0}, "a mixed-up unit?"),
-    ],
-)
-def test_mistakes_are_told(part: dict[str, Any], told: str) -> None:
-    _, faults = validate(BASE | {"constraints": [BASE["constraints"][0], part]}, Source())
-    assert any(told in text for _, text in faults), faults
-
-
-def test_a_second_indenter_is_refused() -> None:
-    second = TOUCH | {"name": "second"}
-    _, faults = validate(BASE | {"constraints": [*BASE["constraints"], second]}, Source())
-    assert any("is a second indenter" in text for _, text in faults), faults

@@ -21,9 +21,7 @@ from vdmbench.scene.export import SCENES, write_scene
 from vdmbench.scene.handout import Handout
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
-from vdmbench.study.checks import validate
 from vdmbench.study.config import geometry_of
-from vdmbench.study.errors import Source
 from vdmbench.study.loads import KINDS
 from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import Study
@@ -204,14 +202,3 @@ def test_answers_are_keyed_by_the_line_and_scaled() -> None:
     assert keys["twice"].answers == keys["base"].answers
     assert_allclose(keys["twice"].scales[0], 2 * keys["base"].scales[0])
     assert len({one.answers for one in keys.values()}) == 3
-
-
-def test_a_line_without_its_resultant_is_told() -> None:
-    clamp, line = BASE["constraints"]
-    for wrong, told in (
-        ({"kind": "line", "region": "edge"}, "give three forces"),
-        (line | {"pressure": 1.0}, "a line constraint has no pressure; it takes resultant"),
-        (line | {"resultant": [0.0, 0.0, 1e4]}, "a mixed-up unit"),
-    ):
-        _, faults = validate(BASE | {"constraints": [clamp, wrong]}, Source())
-        assert [told in text for _, text in faults] == [True], faults

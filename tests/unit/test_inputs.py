@@ -23,7 +23,7 @@ from vdmbench.measures.input_spread import InputSpread, ModelSpread, Propagation
 from vdmbench.measures.measurement import hold_against
 from vdmbench.measures.pushed import Answer
 from vdmbench.report.section_inputs import inputs as section
-from vdmbench.study.config import Study, StudyError, load_study, resolved
+from vdmbench.study.config import Study, load_study, resolved
 from vdmbench.study.sweep import inputs_of, variations
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import verdicts
@@ -64,49 +64,6 @@ def test_deviations_are_read_in_their_units_and_kept_in_si() -> None:
     }
     again = Study.model_validate(resolved(study))
     assert inputs_of(again) == inputs_of(study)
-
-
-@pytest.mark.parametrize(
-    ("line", "told"),
-    [
-        ('tissue.youngs_modulus = { sd = "5 mm" }', '"mm" is not a unit of a pressure'),
-        ("tissue.youngs_modulus = { sd = 0 }", "must be positive"),
-        ("tissue.youngs_modulus = { sd = 5000 }", "at 0: must be positive, not 0; give a range"),
-        ("tissue.youngs_modulus = 300", "must be a table: write { sd"),
-        ("tissue.youngs_modulus = { std = 1 }", 'unknown key "std"'),
-        ("tissue.youngs_modulus = { sd = 1, range = [1, 2] }", "one of them"),
-        ("tissue.youngs_modulus = { range = [6000, 7000] }", "does not hold the study's own value, 5000 Pa"),
-        ("tissue.youngs_modulus = { range = [6000, 4000] }", "must begin with the smaller value"),
-        ("tissue.youngs_modulus = { range = [4000] }", "must be a list of two values"),
-        ("tissue.poisson_ratio = { sd = 0.1 }", "at 0.55: must be above -1 and at most 0.5"),
-        ("tissue.youngs_modulos = { sd = 1 }", 'did you mean "tissue.youngs_modulus"?'),
-        ("geometry.radius = { sd = 0.01 }", "is another body with other nodes"),
-        ("vdm.foundation = { sd = 1 }", "has no value in this study"),
-        ('study.name = { sd = "a" }', "unknown quantity"),
-        ("samples = 2", "must be greater than or equal to 4"),
-        ('method = "guess"', "unknown choice"),
-        ("seed = 1", "names no key"),
-        ('method = "sampling"\nsamples = 10000\ntissue.youngs_modulus = { sd = 1 }', "10,000 variations"),
-    ],
-)
-def test_a_bad_table_is_told_by_its_line(tmp_path: Path, line: str, told: str) -> None:
-    (tmp_path / "tips.csv").write_text(GOOD)
-    (tmp_path / "tips.toml").write_text(f"{STUDY}[inputs]\n{line}\n")
-    with pytest.raises(StudyError) as caught:
-        load_study(tmp_path / "tips.toml")
-    assert told in str(caught.value)
-    assert len(caught.value.problems) == 1
-    assert caught.value.problems[0].line >= STUDY.count("\n") + 1
-
-
-def test_a_case_of_a_sweep_is_told_too(tmp_path: Path) -> None:
-    (tmp_path / "tips.csv").write_text(GOOD)
-    sweep = (
-        '[sweep]\n"tissue.poisson_ratio" = [0.3, 0.49]\n[inputs]\n"tissue.poisson_ratio" = { sd = 0.02 }\n'
-    )
-    (tmp_path / "tips.toml").write_text(STUDY + sweep)
-    with pytest.raises(StudyError, match=r"at 0\.51: must be above -1 and at most 0\.5"):
-        load_study(tmp_path / "tips.toml")
 
 
 def test_check_puts_each_place_of_a_region_on_the_mesh(tmp_path: Path) -> None:

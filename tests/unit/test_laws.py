@@ -13,9 +13,7 @@ from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.checks import validate
 from vdmbench.study.config import geometry_of
-from vdmbench.study.errors import Source
 from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import LAWS, Study, Tissue
 from vdmbench.work.keys import case_hash, wanted
@@ -126,27 +124,3 @@ def test_names_and_keys_are_those_of_the_elements() -> None:
     there = {law.material: law.keys for law in LAWS.values()}
     assert there == {name: keys for name, keys in PARAMETERS.items() if name != "transversely-isotropic"}
     assert set(LAWS) == set(get_args(get_args(Tissue.model_fields["law"].annotation)[0]))
-
-
-@pytest.mark.parametrize(
-    ("tissue", "told"),
-    [
-        ({"law": "yeoh", "second_ratio": 1.0}, 'the law "yeoh" needs second_ratio and third_ratio'),
-        ({"exponent": 2.0}, 'belongs to the law fung, not to "neo-hookean"; leave it out'),
-        ({"law": "fung", "exponent": -1.0}, "must be positive"),
-        ({"law": "fungi", "exponent": 1.0}, 'did you mean "fung"'),
-        ({"law": "ogden", "exponents": [2.0, -2.0], "shares": [1.0]}, "give one for each of 2 exponents"),
-        ({"law": "ogden", "exponents": [2.0, 0.0], "shares": [0.5, 0.5]}, "must not be zero"),
-        ({"law": "ogden", "exponents": [2.0], "shares": [0.5]}, "must sum to 1, not 0.5"),
-    ],
-)
-def test_mistakes_are_told(tissue: dict[str, Any], told: str) -> None:
-    _, faults = validate(BASE | {"tissue": PLAIN | tissue}, Source())
-    assert any(told in text for _, text in faults), faults
-
-
-def test_a_law_has_no_fibres() -> None:
-    fibres = {"fibre_direction": [1.0, 0.0, 0.0], "contrast": 2.0}
-    tissue = PLAIN | {"law": "fung", "exponent": 1.0}
-    _, faults = validate(BASE | {"tissue": tissue, "anisotropy": fibres}, Source())
-    assert [text for _, text in faults] == ['"fung" has no fibres; leave out [anisotropy], or the law']

@@ -86,58 +86,6 @@ def test_the_resolved_study_carries_the_values_and_no_file(tmp_path: Path) -> No
     assert expand(study)[0].study.measured == study.measured
 
 
-@pytest.mark.parametrize(
-    ("wrong", "right", "told"),
-    [
-        ("x [mm]", "x [kg]", "tips.csv:2: column x: "),
-        ("load_factor", "load_factor [mm]", "tips.csv:2: column load_factor: has no unit"),
-        ("displacement_z [mm]", "displacment_z", "tips.csv:2: unknown column"),
-        ("z [m]", "z [m], z [m]", "tips.csv:2: has two columns 'z'"),
-        (" y,", "", "tips.csv:2: has no column 'y'"),
-        ("displacement_z [mm], displacement_x,", "", "tips.csv:2: has none of the columns displacement_x"),
-        ("-2,", "nan,", "tips.csv:3: displacement_z: must be a finite number"),
-        ("-2,", "two,", "tips.csv:3: displacement_z: 'two' is no number"),
-        ("-2,", ",", "tips.csv:3: has no displacement"),
-        ("top, 0,", "top, ,", "tips.csv:3: has no x"),
-        ("top, 0,", "top, 0, 0,", "tips.csv:3: has 10 cells, the header 9"),
-        ("100, 1,", "-1, 1,", "tips.csv:3: uncertainty: must be positive or zero, not -1"),
-        ("100, 1,", ", 1,", "uncertainty: is missing (line 3)"),
-        ("100, 1,", "100, 0.75,", "0.75 (line 3 of its file) is no step of the load history"),
-        (GOOD, "# nothing\n", "tips.csv:1: holds no table"),
-        (GOOD, "x,y,z,displacement_x\n", "tips.csv:1: has a header and no row below it"),
-        (GOOD, "deformed_x,deformed_y,deformed_z,x\n1,2,3,4\n", "tips.csv:1: a measured surface has"),
-        (GOOD, "deformed_x,deformed_y,deformed_z\n1,,3\n", "tips.csv:2: has no deformed_y"),
-    ],
-)
-def test_a_bad_table_is_told_by_file_and_line(tmp_path: Path, wrong: str, right: str, told: str) -> None:
-    assert wrong in GOOD
-    text = GOOD.replace(wrong, right, 1)
-    if right.startswith("z [m], z"):
-        text = text.replace("0, 0, 1,", "0, 0, 1, 1,").replace("1000, 0, 0,", "1000, 0, 0, 0,")
-    with pytest.raises(StudyError) as caught:
-        load(tmp_path, text)
-    assert told in str(caught.value).replace('"', "'")
-    assert len(caught.value.problems) == 1
-    assert caught.value.problems[0].line >= 17, "the place in the study file"
-
-
-@pytest.mark.parametrize(
-    ("added", "told"),
-    [
-        ('swept = "tissue.poisson_ratio"', "swept and at belong together"),
-        ('swept = "tissue.poisson_ratio"\nat = 0.3', "'tissue.poisson_ratio' is not swept"),
-        ("points = []", "give path, points, surface or forces"),
-        ('[[measured]]\npath = "tips.csv"', "'tips' is the name of another table"),
-        ('[[measured]]\nname = "none"', "has no values"),
-        ('[[measured]]\npath = "lost.csv"', "does not exist"),
-    ],
-)
-def test_a_bad_measured_table_is_told(tmp_path: Path, added: str, told: str) -> None:
-    with pytest.raises(StudyError) as caught:
-        load(tmp_path, GOOD, STUDY + added + "\n")
-    assert told in str(caught.value).replace('"', "'")
-
-
 def test_a_table_names_the_swept_case_that_it_belongs_to(tmp_path: Path) -> None:
     sweep = '\n[sweep]\n"tissue.youngs_modulus" = ["5 kPa", "6 kPa"]\n'
     study = STUDY + 'swept = "tissue.youngs_modulus"\nat = "6 kPa"\n' + sweep

@@ -18,7 +18,6 @@ from vdmbench.measures.input_spread import Propagation
 from vdmbench.measures.measurement import FORCE, Measurement, Quantity, hold_against
 from vdmbench.measures.pushed import Answer
 from vdmbench.report.section_measurement import against_measurement
-from vdmbench.study.config import StudyError
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import verdicts
 
@@ -57,52 +56,6 @@ def test_a_curve_is_read_in_its_units(tmp_path: Path) -> None:
         (0.05, 3.0, 0.1, 2),
         (0.1, 9.0, 0.2, 3),
     ]
-
-
-@pytest.mark.parametrize(
-    ("wrong", "right", "told"),
-    [
-        ("force [mN]", "force [mm]", 'tips.csv:1: column force: "mm" is not a unit of a force'),
-        ("uncertainty [mN]", "uncertainty [mm]", "tips.csv:1: column uncertainty: "),
-        ("uncertainty [mN]", "x [mm]", "tips.csv:1: measured forces have the columns depth, force"),
-        ("depth [mm],", "", "tips.csv:1: has no column 'depth'"),
-        ("50, 3000,", "50, ,", "tips.csv:2: has no force"),
-        ("50, 3000,", "nan, 3000,", "tips.csv:2: depth: must be a finite number"),
-        ("50, 3000,", "0, 3000,", "must be positive"),
-        ("100\n", "\n", "force_uncertainty: is missing (line 2)"),
-    ],
-)
-def test_a_bad_curve_is_told_by_file_and_line(tmp_path: Path, wrong: str, right: str, told: str) -> None:
-    assert wrong in CURVE
-    text = CURVE.replace(wrong, right, 1)
-    if "depth" not in text:
-        text = text.replace("50, ", "", 1).replace("100, ", "", 1)
-    with pytest.raises(StudyError) as caught:
-        load(tmp_path, text, PRESSED)
-    assert told in str(caught.value).replace('"depth"', "'depth'")
-    assert len(caught.value.problems) == 1
-
-
-@pytest.mark.parametrize(
-    ("study", "told"),
-    [
-        (STUDY, "nothing pushes the body"),
-        (PRESSED + 'constraint = "fingr"\n', 'did you mean "finger"?'),
-        (
-            PRESSED + '[[constraints]]\nname = "other"\nkind = "contact"\nregion = "finger"\nforce = 1\n',
-            "several push: finger, other; name one",
-        ),
-        (
-            PRESSED.replace("force = 8", 'pressure = 8\nprofile = "hertz"'),
-            '"finger" has a pressure of a hertz profile; give its force',
-        ),
-        (PRESSED + "points = []\n", "give path, points, surface or forces"),
-    ],
-)
-def test_a_curve_that_fits_no_study_is_told(tmp_path: Path, study: str, told: str) -> None:
-    with pytest.raises(StudyError) as caught:
-        load(tmp_path, CURVE, study)
-    assert told in str(caught.value)
 
 
 def test_forces_of_a_contact_by_hand(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
-from tests.unit.study_texts import SMALL, problems
+from tests.study.study_texts import SMALL
 from tests.unit.typed_study import typed_study
 from vdmbench.machine.processors import processor_name
 from vdmbench.measures.case import CaseResult
@@ -47,21 +47,6 @@ def test_what_a_study_may_limit(tmp_path: Path) -> None:
         "region": "tip",
         "frame_time": 0.0005,
     }
-
-
-@pytest.mark.parametrize(
-    ("line", "key", "told"),
-    [
-        ('displacement_error = "5 mm"', "displacement_error", 'is not a share; write it as "5 %"'),
-        ('frame_time = "-1 ms"', "frame_time", "must be positive"),
-        ('largest_difference = 0.001\nregion = "tipp"', "region", 'did you mean "tip"?'),
-        ('\nregion = "tip"', "region", "decides nothing without largest_difference"),
-    ],
-)
-def test_a_mistake_is_told_with_its_line(tmp_path: Path, line: str, key: str, told: str) -> None:
-    ((number, where, text),) = problems(tmp_path, f"{SMALL}[acceptance]\n{line}\n")
-    assert (number, where) == (LINES + 2 + line.count("\n"), f"acceptance.{key}")
-    assert told in text
 
 
 # --- against a case ---

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.unit.fem_shapes import FIELDS
-from tests.unit.test_shipped_studies import NAMES, shipped
+from tests.study.test_shipped_studies import NAMES, shipped
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh

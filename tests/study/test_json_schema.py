@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from typing import Any
 
 import jsonschema
 import pytest
 
-from tests.unit.study_texts import FULL
-from vdmbench.cli import verb_new, verb_schema
-from vdmbench.cli.arguments import parse
-from vdmbench.study.fields import field_table, study_schema
+from vdmbench.cli import verb_new
+from vdmbench.study.fields import study_schema
 from vdmbench.study.files import shipped_studies
+
+from .study_texts import FULL
 
 
 @pytest.fixture(scope="module")
@@ -58,16 +57,3 @@ def test_a_mistake_is_told_at_its_place(
         table = table.setdefault(key, {}) if isinstance(table, dict) else table[key]
     table[place[-1]] = value
     assert _places(schema, data) == [told]
-
-
-def test_every_key_of_the_manual_has_its_help_in_the_schema(capsys: pytest.CaptureFixture[str]) -> None:
-    assert verb_schema.run(parse(["schema"])) == 0
-    text = capsys.readouterr().out
-    json.loads(text)
-    helps = {
-        json.dumps(row.help)[1:-1]
-        for row in field_table()
-        if row.help and not row.key.startswith(('sweep."', 'inputs."'))
-    }
-    assert len(helps) > 50
-    assert [help for help in helps if help not in text] == []

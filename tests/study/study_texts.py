@@ -127,6 +127,24 @@ region = "tip"
 pressure = 200
 """
 
+TIPS = (
+    SMALL.replace("pressure = 200", "force = 8")
+    + """\
+[load]
+factors = [0.25, 0.5, 1]
+[[measured]]
+path = "tips.csv"
+"""
+)
+
+POINTS = """\
+# who, when
+point, x [mm], y, z [m], displacement_z [mm], displacement_x, uncertainty [um], load_factor, COMSOL.displacement_z
+top, 0, 0, 1, -2, , 100, 1, -0.0021
+side, 1000, 0, 0, 0.5, 0.001, 200, 0.5,
+"""
+CURVE = "depth [mm], force [mN], uncertainty [mN]\n50, 3000, 100\n100, 9000, 200\n"
+
 
 def load(directory: Path, text: str, *, allow_outside: bool = False) -> Study:
     path = directory / "study.toml"

@@ -33,13 +33,8 @@ def test_check_and_plan(name: str, tmp_path: Path) -> None:
     assert (SHIPPED / f"{name}.toml").read_text().startswith("# "), "a study says what it is for"
 
 
-def test_every_claim_is_on_trial_and_named_in_words() -> None:
-    on_trial = {name: shipped(name).study.claims for name in NAMES}
-    assert {claim for claims in on_trial.values() for claim in claims} == set(range(1, CLAIMS + 1))
-    for name, claims in on_trial.items():
-        text = (SHIPPED / f"{name}.toml").read_text()
-        for claim in range(1, CLAIMS + 1):
-            assert (f"laim {claim}" in text) == (claim in claims), f"{name} and claim {claim}"
+def test_every_claim_is_on_trial() -> None:
+    assert {claim for name in NAMES for claim in shipped(name).study.claims} == set(range(1, CLAIMS + 1))
 
 
 # about a minute each at most on two idle cores; of the others some take several

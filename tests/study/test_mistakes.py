@@ -1,0 +1,103 @@
+"""Every mistake in a study file is told with its line, its key and a sentence that helps: see `mistakes.toml`."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from vdmbench.models import model_names
+from vdmbench.study.config import StudyError, expand, geometry_error, load_study
+from vdmbench.study.errors import MeshError
+from vdmbench.work.plan import make_plan
+
+from .study_texts import CURVE, POINTS, SMALL, SWEPT, TIPS, load, problems
+
+TABLE = tomllib.loads(Path(__file__).with_name("mistakes.toml").read_text())
+BASES = {"small": SMALL, "swept": f"{SWEPT}[sweep]\n", "pressed": TIPS, "points": POINTS, "curve": CURVE}
+
+
+@pytest.mark.parametrize(
+    ("base", "old", "new", "told"),
+    [(base, *row[:2], row[2:]) for base, rows in TABLE.items() for row in rows],
+)
+def test_a_mistake_is_told(tmp_path: Path, base: str, old: str, new: str, told: list[str]) -> None:
+    sound = BASES[base]
+    assert old in sound or old == "*"
+    wrong = new if old == "*" else sound.replace(old, new, 1) if old else sound + new
+    for name in ("a.geo", "a.step", "a.stl"):
+        (tmp_path / name).touch()
+    of_file = base in ("points", "curve")
+    (tmp_path / "tips.csv").write_text(wrong if of_file else CURVE)
+    found = problems(tmp_path, TIPS if of_file else wrong)
+    assert [f"{line}: {key}: {message}" for line, key, message in found] == told
+
+
+@pytest.mark.parametrize("table", [POINTS, CURVE])
+def test_the_texts_are_sound(tmp_path: Path, table: str) -> None:
+    (tmp_path / "tips.csv").write_text(table)
+    for text in (SMALL, SWEPT, TIPS):
+        load(tmp_path, text)
+
+
+def test_regions_that_refer_to_themselves_or_grow_without_end_are_refused(tmp_path: Path) -> None:
+    chain = "".join(f"[regions.r{n}]\nall = ['r{n + 1}', {{ not = 'r{n + 1}' }}]\n" for n in range(20))
+    cycle = "[regions.p]\nnot = { any = ['q'] }\n[regions.q]\nall = ['p']\n[regions.into]\nnot = 'p'\n"
+    end = "[regions.r20]\nbelow = { axis = 'z', fraction = 0.1 }\n"
+    by_key = {key: message for _, key, message in problems(tmp_path, SMALL + chain + end + cycle)}
+    in_circle = {key for key, message in by_key.items() if "refers to itself" in message}
+    assert in_circle == {"regions.p", "regions.q"}
+    # r20 takes 1 step, r(n) takes 2 + 2 r(n+1): 1 + 3 (2^k - 1) steps, past 1,000 from k = 9 on
+    too_large = {key for key, message in by_key.items() if "is made of more than" in message}
+    assert {f"regions.r{n}" for n in range(12)} | {"regions.into"} == too_large
+
+
+def test_what_only_the_mesher_finds_is_told_of_a_solid_at_its_shape(tmp_path: Path) -> None:
+    """A solid has no path."""
+    [problem] = geometry_error(load(tmp_path, SMALL), MeshError("gmsh cannot mesh this geometry")).problems
+    assert (problem.line, problem.key) == (5, "geometry.shape")
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "key"),
+    [
+        (SWEPT.replace("mesh_size = 0.006", "mesh_size = 1e-4"), 7, "geometry.mesh_size"),
+        (f'{SWEPT}[sweep]\n"geometry.mesh_size" = [6e-3, 1e-4]\n', 27, 'sweep."geometry.mesh_size"'),
+    ],
+)
+def test_too_many_nodes_are_told_where_the_mesh_size_is_written(
+    tmp_path: Path, text: str, line: int, key: str
+) -> None:
+    study = load(tmp_path, text)
+    with pytest.raises(StudyError, match=r"would give about 2.3e\+06 nodes, more than the 2000000") as caught:
+        make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
+    (problem,) = caught.value.problems
+    assert (problem.line, problem.key) == (line, key)
+
+
+def test_models_are_those_of_the_registry(tmp_path: Path) -> None:
+    for name in model_names():
+        assert load(tmp_path, SMALL.replace("vdm-paper", name)).study.models == (name,)
+
+
+# --- files outside the study's directory, and a surface in the place of its body ---
+
+
+def test_files_outside_the_directory_need_leave(tmp_path: Path) -> None:
+    inside = tmp_path / "in"
+    inside.mkdir()
+    (tmp_path / "a.stl").write_text("")
+    (inside / "link.stl").symlink_to(tmp_path / "a.stl")
+    for name in ("../a.stl", str(tmp_path / "a.stl"), "link.stl"):
+        text = SMALL.replace('"sphere"\nradius = 0.05', f'"file"\npath = "{name}"')
+        [(line, key, message)] = problems(inside, text)
+        assert (line, key) == (6, "geometry.path")
+        assert "--allow-outside" in message
+        assert load(inside, text, allow_outside=True).geometry.path == (tmp_path / "a.stl").resolve()
+
+
+def test_a_surface_that_is_not_there_is_told_at_the_body(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(SMALL)
+    with pytest.raises(StudyError, match=r"study.toml:4: geometry.path: .*none.obj. does not exist"):
+        load_study(tmp_path / "study.toml", surface=tmp_path / "none.obj")
