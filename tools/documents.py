@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from tests.command import vdmbench_process
-from vdmbench.study.fields import field_table
+from vdmbench.study.fields import FieldRow, field_table
 
 ROOT = Path(__file__).parents[1]
 CASES = ROOT / "studies" / "cases"
@@ -23,6 +23,7 @@ README = ROOT / "README.md"
 STUDY_KEYS = ROOT / "studies" / "STUDY.md"
 GALLERY = ROOT / "docs" / "gallery"
 NOTEBOOK = ROOT / "docs" / "reference" / "quickstart.ipynb"
+FEW_KEYS = 2  # of a table that the reference of the keys puts together with others
 COLUMNS = ("model", "displacement error", "change of shape")
 
 
@@ -93,15 +94,37 @@ def study_keys() -> str:
     text = (
         "# Keys of a study file\n\n"
         "Made from `studies/study/schema.py` by `make docs`. NAME is a name of yours, `[]` an entry of an "
-        "array of\ntables. "
-        "Numbers are in the unit shown; a text with another unit of the same dimension is converted. A parameter\n"
-        "in [vdm] that no model of the study reads, or in a model's own table that this model does not, is a "
-        "mistake. `vdmbench schema` prints the JSON schema of these keys, for an editor.\n\n"
+        "array of\ntables. Numbers are in the unit shown; a text with another unit of the same dimension is "
+        "converted. A default stands\nin brackets. A parameter that no model of the study reads is a mistake. "
+        "`vdmbench schema` prints the JSON schema, for\nan editor.\n"
     )
-    rows = ((f"`{row.key}`", row.kind, row.default, row.help) for row in field_table())
-    return text + table(
-        ("key", "value", "default", "what"), ([cell.replace("|", "&#124;") for cell in row] for row in rows)
-    )
+    sections: dict[str, list[FieldRow]] = {}
+    for row in field_table():
+        table_name, _, key = row.key.partition(".")
+        sections.setdefault(table_name, []).append(row._replace(key=key.removeprefix("NAME.")))
+    small = [name for name, rows in sections.items() if len(rows) <= FEW_KEYS]
+    further = [row._replace(key=f"{name}.{row.key}") for name in small for row in sections[name]]
+    assert sections.pop("models") == sections["vdm"]
+    titles = {"vdm": "[vdm] for all surface models, [models.NAME] for one", "regions": "[regions.NAME]"}
+    for name, rows in sections.items():
+        if name not in small:
+            title = titles.get(name, f"[[{name[:-2]}]]" if name.endswith("[]") else f"[{name}]")
+            text += f"\n## {title}\n\n{_key_lines(rows)}"
+    return f"{text}\n## Small tables\n\n{_key_lines(further)}"
+
+
+def _key_lines(rows: Iterable[FieldRow]) -> str:
+    """A line for each key; keys of one name and one meaning share theirs."""
+    shared: dict[tuple[str, ...], list[str]] = {}
+    for row in rows:
+        shared.setdefault((row.key.rpartition(".")[2], *row[1:]), []).append(f"`{row.key}`")
+    found = ""
+    for (_, kind, default, told), keys in shared.items():
+        value = re.sub(r"[a-z ]+ (?=\[)", " ", f" {kind}").translate({91: None, 93: None}).strip().replace(" | ", "/")
+        value += ", required" if default == "required" else ""
+        what = told if default in ("", "[]", "required") else f"{told} ({default})"
+        found += f"- {', '.join(keys)} ({value}): {what}\n"
+    return found
 
 
 def main() -> None:
