@@ -120,8 +120,8 @@ def _key_lines(rows: Iterable[FieldRow]) -> str:
         shared.setdefault((row.key.rpartition(".")[2], *row[1:]), []).append(f"`{row.key}`")
     found = ""
     for (_, kind, default, told), keys in shared.items():
-        value = re.sub(r"[a-z ]+ (?=\[)", " ", f" {kind}").translate({91: None, 93: None}).strip().replace(" | ", "/")
-        value += ", required" if default == "required" else ""
+        unit = re.sub(r"[a-z ]+ \[(.*?)\]", r" \1", f" {kind}").strip()  # of "list of 3: length [m]"
+        value = unit.replace(" | ", "/") + (", required" if default == "required" else "")
         what = told if default in ("", "[]", "required") else f"{told} ({default})"
         found += f"- {', '.join(keys)} ({value}): {what}\n"
     return found
