@@ -1,6 +1,6 @@
-"""What the paths through the linear system are expected to cost, for the choice between them and for plans.
+"""What the paths through the linear system are expected to cost, for the choice between them.
 
-Loads nothing slow, so that who only plans need not wait: of the solvers rslab, which takes milliseconds.
+Loads nothing slow, so that who asks for the bytes need not wait: of the solvers rslab, which takes milliseconds.
 """
 
 from __future__ import annotations

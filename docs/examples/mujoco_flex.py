@@ -11,7 +11,7 @@ from importlib.metadata import version
 import numpy as np
 
 from solver_common.solution import CONVERGED, Solution, Status
-from vdmbench.models import Cost, Model, SetUp, register
+from vdmbench.models import Model, SetUp, register
 from vdmbench.scene.as_mjcf import FORCE_UNIT, TAKES, mjcf
 from vdmbench.scene.handout import Handout, cannot_express
 
@@ -160,8 +160,6 @@ register(
         parameters=(),
         fibres=False,
         takes=dict.fromkeys(TAKES, ("linear",)),
-        cost=lambda size, *_: Cost(
-            1.0 + 3e-5 * size.tetrahedra, 1.5e-3 * size.tetrahedra, 2e8 + 5e4 * size.tetrahedra
-        ),
+        memory=lambda size, _: 2e8 + 5e4 * size.tetrahedra,
     )
 )

@@ -12,7 +12,7 @@ import numpy as np
 from fem_reference.loads import held_nodes, nodal_forces
 from fem_reference.mesh import TetMesh
 from solver_common.solution import CONVERGED, Solution, Status
-from vdmbench.models import Cost, Model, SetUp, register
+from vdmbench.models import Model, SetUp, register
 from vdmbench.models.elements import fem_loads
 from vdmbench.scene.handout import Handout
 
@@ -218,8 +218,6 @@ register(
         parameters=(),
         fibres=False,
         takes={"dead forces": ("linear", "nonlinear")},
-        cost=lambda size, *_: Cost(
-            2.0 + 2e-4 * size.tetrahedra, 1e-3 * size.tetrahedra, 4e8 + 4e4 * size.tetrahedra
-        ),
+        memory=lambda size, _: 4e8 + 4e4 * size.tetrahedra,
     )
 )

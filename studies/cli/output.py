@@ -75,13 +75,12 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
 
 
 def taken(plan: Mapping[str, Any]) -> str:
-    """What the last run took beside what its plan had expected; "" where that is not known."""
+    """What the last run took; "" where that is not known."""
     try:
-        spent, expected = plan["taken"], plan["estimate"]
+        spent = plan["taken"]
         return (
             f"took {spent['seconds']:.0f} s with {count(spent['jobs'], 'job')}: "
-            f"{spent['processor_seconds']:.0f} s of processor; expected {expected['seconds']:.0f} s, "
-            f"within a factor of {expected['factor']:g}"
+            f"{spent['processor_seconds']:.0f} s of processor"
         )
     except (KeyError, TypeError, ValueError):
         return ""

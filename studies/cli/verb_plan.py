@@ -1,4 +1,4 @@
-"""`vdmbench plan`: what a run would do, and what it would cost."""
+"""`vdmbench plan`: what a run would do, and what it would store."""
 
 from __future__ import annotations
 
@@ -15,24 +15,17 @@ SUMMARY = "say what a run would do"
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Its arguments."""
     plan_arguments(parser)
-    parser.add_argument(
-        "--graph", action="store_true", help="print the graph of the work, as text for Mermaid"
-    )
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what a run would do, and what it would cost."""
-    from ..work.estimate import free_bytes
+    """Print what a run would do, and what it would store."""
     from ..work.explain import summary
-    from ..work.mermaid import mermaid
+    from ..work.room import free_bytes
 
     study, _ = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
     check_files(plan, plan.cases_to_run())
-    if options.graph:
-        print(mermaid(plan))
-        return OK
     free = free_bytes(plan.directory)
     planned = summary(plan) | {"directory": str(plan.directory), "disk_free": free}
     if options.json:
@@ -53,11 +46,5 @@ def run(options: argparse.Namespace) -> int:
     for kind in ("needed", "skipped", "refused"):
         for line in planned[kind]:
             print(folded(f"{'will be refused' if kind == 'refused' else kind}: {line}"))
-    expected = planned["estimate"]
-    text = (
-        f"estimate: {expected['seconds']:.0f} s on one core, {expected['memory'] / 1e6:.0f} MB a worker, "
-        f"{expected['disk'] / 1e6:.1f} MB on disk ({free / 1e9:.3g} GB free); "
-        f"each within a factor of {expected['factor']:g}"
-    )
-    print(folded(text))
+    print(f"to store: about {planned['stored_bytes'] / 1e6:.1f} MB ({free / 1e9:.3g} GB free)")
     return OK

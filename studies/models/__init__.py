@@ -2,7 +2,6 @@
 
 from ..scene.result import REFUSED
 from ..study.registry import (
-    Cost,
     Parameter,
     all_models,
     benched_names,
@@ -16,7 +15,6 @@ from .model import Model, Prepared, RegistrationError, SetUp, find, register, ru
 __all__ = [
     "PLAIN",
     "REFUSED",
-    "Cost",
     "Model",
     "Parameter",
     "Prepared",

@@ -15,7 +15,6 @@ from vdm.solvers import FIGURE_8, SOLVERS
 from ..body.surface_measures import facet_area_vectors
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import Family, split, takes_fluid
-from . import costs
 from .model import Model as Registered
 from .model import SetUp, register
 
@@ -180,7 +179,6 @@ _surface = partial(
     volumetric=False,
     superposes=("linear",),
     tissue=("youngs_modulus",),
-    cost=costs.surface,
     one_over_modulus=True,
 )
 SPRINGS, FULL, DEAD = "normal springs", "full springs", "dead forces"  # of `vdmbench.study.registry.EXTRAS`
@@ -228,7 +226,6 @@ for _registered in (
         name="bem",
         family=Family.PEERS,
         benched=("nonlinear",),
-        cost=costs.boundary,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
         version="22",
         solvers=("linear", "nonlinear"),
@@ -242,7 +239,6 @@ for _registered in (
     _surface(
         name="bem-sparse",
         family=Family.PEERS,
-        cost=costs.sparse_boundary,
         version="11",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
@@ -255,7 +251,6 @@ for _registered in (
     _surface(
         name="mass-spring",
         family=Family.PEERS,
-        cost=costs.mass_spring,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
         version="7",
         solvers=SOLVERS,

@@ -114,23 +114,6 @@ class Size:
         return Size(4.0**times * self.nodes, 8.0**times * self.tetrahedra)
 
 
-@dataclass(frozen=True)
-class Cost:
-    """Of one set-up and one step on one core [s], and the memory of both [B]."""
-
-    setup: float
-    step: float
-    bytes: float
-
-
-CostLaw = Callable[[Size, str, int], Cost]  # of a mesh, a solver and so many loads
-
-
-def mesh_seconds(size: Size) -> float:
-    """To make a mesh."""
-    return 0.3 + 2e-4 * size.tetrahedra
-
-
 @dataclass(frozen=True, kw_only=True)
 class Declared:
     """What a model declares of itself; `vdmbench.models.Model` adds how it is set up.
@@ -147,8 +130,8 @@ class Declared:
     parameters : keys of [vdm] and of its own table that it reads
     by_rule : of these the moduli that it takes from the tissue where a study does not set them
     fibres : whether it solves a body with fibres; one that does not is refused them
-    cost : what a set-up and a step take, within a factor of five: a plan tells it, and refuses what has no memory
     most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
+    memory : (mesh, solver) -> bytes that a set-up takes, about: a plan refuses what has no room; None where little
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
     of_any_modulus : solvers whose set-up serves the same body with any Young's modulus
@@ -166,9 +149,9 @@ class Declared:
     tissue: tuple[str, ...]
     parameters: tuple[str, ...]
     fibres: bool
-    cost: CostLaw
     by_rule: tuple[str, ...] = ()
     most_nodes: int | None = None
+    memory: Callable[[Size, str], float] | None = None
     contact_in_setup: bool = False
     takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     of_any_modulus: tuple[str, ...] = ()

@@ -10,6 +10,6 @@ engine        does nodes in places: processes here (local), or on a cluster (clu
 worker        what each kind of node does; of a case (case), of its limits (small_strain)
 cache         answers and limits as files under their keys
 run           a plan done: locks, nodes, failures, report
-estimate, explain, mermaid, scene_check   what a plan takes, says, looks like, and doubts
+room, explain, scene_check   what a plan has no room for, says, and doubts
 provenance    where a case comes from
 """

@@ -1,13 +1,11 @@
-"""A plan in words: what is shared, what is known already, what nobody asked for, and what the rest will take."""
+"""A plan in words: what is shared, what is known already, what nobody asked for, and what has no room."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from .. import models
-from ..machine.memory import machine_memory
 from ..scene.coordinates import origin
 from ..scene.regions import body_extent, lies_outside
 from ..study.config import holds_nothing
@@ -15,18 +13,16 @@ from ..study.errors import Finding
 from ..study.files import swept_without_folders, told_directory
 from ..study.registry import DISPLACEMENT_ELEMENTS, lacks, split
 from ..study.schema import extras_for
-from ..study.shapes import fewer_nodes
 from .cache import answer_path
-from .estimate import DOUBT, FACTOR, estimate, expected_mesh, largest_solve, without_room
 from .nodes import Body, bodies
 from .plan import Plan, PlannedCase
+from .room import DOUBT, beyond_memory, expected_mesh, stored_bytes, unknown_memory, without_room
 
 
 def summary(plan: Plan) -> dict[str, Any]:
     """The plan as plain data: `plan.json`, and what `vdmbench plan` prints."""
     todo = plan.cases_to_run()
     work = bodies(plan, todo)
-    expected = estimate(plan, todo)
     study = plan.study.study
     return {
         "study": {
@@ -65,10 +61,10 @@ def summary(plan: Plan) -> dict[str, Any]:
             }
             for body in work
         ],
-        "needed": _needed(todo, work),
+        "needed": _needed(todo, work) + unknown_memory(plan, work),
         "skipped": _skipped(plan, todo),
         "refused": refused(plan, todo, work),
-        "estimate": dataclasses.asdict(expected) if expected else None,
+        "stored_bytes": stored_bytes(plan, todo),
     }
 
 
@@ -177,29 +173,6 @@ def blockers(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> 
     )
     memory: list[Finding] = [(("geometry", key), text) for text in beyond_memory(plan, work).values()]
     return [*dict.fromkeys(_off_the_body(plan, cases)), *memory]
-
-
-def beyond_memory(plan: Plan, work: Sequence[Body], doubt: float = FACTOR) -> dict[str, str]:
-    """Mesh -> what cannot be solved on it: it takes more than `doubt` times the memory of this machine."""
-    there = machine_memory()
-    on_mesh: dict[str, list[Body]] = {}
-    for part in work:
-        if models.find(part.name)[0].volumetric:  # surface models take little, or refuse by themselves
-            on_mesh.setdefault(part.mesh, []).append(part)
-    lines = {}
-    for key, parts in on_mesh.items():
-        mesh = plan.meshes[key]
-        body = expected_mesh(plan, mesh)
-        if body is None:
-            continue
-        needed, name = largest_solve(body.size, parts)
-        if needed > doubt * there:
-            remedy = fewer_nodes(mesh.geometry, float((body.high - body.low).max()))
-            lines[key] = (
-                f"{name} on a {mesh.label} would take about {needed / 1e9:,.0f} GB, and this machine has "
-                f"{there / 1e9:,.0f}; {remedy}"
-            )
-    return lines
 
 
 def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[Finding]:

@@ -34,10 +34,10 @@ from ..study.errors import MeshError
 from ..study.files import text_without_folders, without_folders
 from ..study.units import shown
 from .engine import Outcome, Places, run_nodes
-from .estimate import without_room
-from .explain import beyond_memory, summary
+from .explain import summary
 from .nodes import Node, _item, _on_mesh, bodies, graph
 from .plan import Plan, PlannedCase
+from .room import beyond_memory, unknown_memory, without_room
 
 
 class RunError(ValueError):
@@ -100,7 +100,7 @@ def run_plan(
     with _locked(plan.directory, options.shard):
         _check_study(plan)
         if options.scheduler is None:
-            _check_memory(plan, cases)
+            _check_memory(plan, cases, watch)
         if lines := without_room(plan, cases):
             raise RunError("\n".join(lines))
         _tidy(plan)
@@ -158,9 +158,12 @@ def _resumed(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     return []
 
 
-def _check_memory(plan: Plan, cases: Sequence[PlannedCase]) -> None:
-    """Raises StudyError where this machine cannot have the memory that a case needs."""
-    for key, sentence in beyond_memory(plan, bodies(plan, cases)).items():
+def _check_memory(plan: Plan, cases: Sequence[PlannedCase], watch: Callable[[Event], None]) -> None:
+    """Raises StudyError where a case needs far more memory than there is; tells where it may be too much."""
+    work = bodies(plan, cases)
+    for sentence in (*beyond_memory(plan, work, 1.0).values(), *unknown_memory(plan, work)):
+        watch(Event("told", plan.study.study.name, message=f"warning: {sentence}"))
+    for key, sentence in beyond_memory(plan, work).items():
         own = plan.meshes[key].geometry.has_own_tetrahedra
         raise geometry_error(plan.study, MeshError(sentence, "path" if own else "mesh_size"))
 

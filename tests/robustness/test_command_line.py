@@ -55,12 +55,11 @@ def test_a_run_leaves_all_that_the_contract_names(finished: Path) -> None:
     assert (run / "study.toml").read_text() == (finished / "small.toml").read_text()
 
 
-def test_a_run_says_what_it_took_beside_what_was_expected(copy: Path) -> None:
+def test_a_run_says_what_it_took(copy: Path) -> None:
     said = vdmbench("report", RUN, cwd=copy).stdout
     plan = json.loads((copy / RUN / "plan.json").read_text())
-    spent, expected = plan["taken"], plan["estimate"]
+    spent = plan["taken"]
     assert f"took {spent['seconds']:.0f} s with {spent['jobs']} job" in said
-    assert f"expected {expected['seconds']:.0f} s" in said
     assert spent["processor_seconds"] > 0.1, "what the workers had counts"
     plan["taken"] = {"seconds": "<b>", "processor_seconds": None, "jobs": None}
     rewrite_plan(copy / RUN, plan)

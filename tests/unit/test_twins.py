@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 import vdm.material
-import vdm.peers.bem
 import vdm.peers.mass_spring
 import vdm.solution
 from solver_common.solution import Solution
@@ -15,7 +14,6 @@ from tests.report.runs import icosphere
 from vdm.material import Parameters
 from vdm.surface import SurfaceMesh
 from vdmbench import models
-from vdmbench.models import costs
 from vdmbench.scene.result import ModelResult
 from vdmbench.study.errors import LIBRARIES
 
@@ -29,11 +27,6 @@ def fields(cls: type) -> dict[str, object]:
 def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
     ours = fields(Solution).keys() - {"point_fields"}  # which a study asks no model for
     assert ours <= fields(ModelResult).keys()
-
-
-def test_an_estimate_knows_how_many_nodes_the_boundary_form_takes() -> None:
-    """Without loading the library: a plan has to be quick."""
-    assert vdm.peers.bem.MAX_NODES == costs._DENSE_NODES
 
 
 def test_a_registered_model_declares_what_its_library_says() -> None:

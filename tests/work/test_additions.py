@@ -110,7 +110,7 @@ def test_a_model_of_another_package(springs: Path) -> None:
     command(springs, "check", study(springs, GAINS))
     planned = json.loads(command(springs, "plan", "study.toml", "--json"))
     assert len(planned["cases"]) == 3
-    assert planned["estimate"]["seconds"] > 3 * 100.0, "its own cost law"
+    assert planned["refused"] == []
     run(springs, GAINS)
     assert_gains_differ(springs)
     assert "springs" in page(springs)

@@ -19,12 +19,12 @@ from tests.in_process import HerePlaces, outcomes_of
 from vdmbench import models
 from vdmbench.measures import metrics
 from vdmbench.store.cases import read_case
-from vdmbench.work import estimate, nodes
+from vdmbench.work import nodes
 from vdmbench.work.engine import run_nodes
-from vdmbench.work.estimate import without_room
 from vdmbench.work.explain import summary
 from vdmbench.work.local import local_places
 from vdmbench.work.nodes import bodies, graph
+from vdmbench.work.room import without_room
 from vdmbench.work.run import Event, Options, _run_missing
 
 from . import shared_work
@@ -327,22 +327,21 @@ def test_shards_have_each_case_once(tmp_path: Path, cache: Path) -> None:
     assert sorted(case.hash for shard in shards for case in shard) == sorted(case.hash for case in plan.cases)
 
 
-def test_a_plan_works_out_its_set_ups_and_its_estimate_once(
+def test_a_plan_works_out_its_set_ups_once(
     tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan, made = plan_of(tmp_path, cache, **ALONE), Counter[str]()
-    for module, name in ((nodes, "_bodies"), (estimate, "_estimate")):
-        once = getattr(module, name)
+    once = nodes._bodies
 
-        def counted(*given: Any, name: str = name, once: Any = once) -> Any:
-            made[name] += 1
-            return once(*given)
+    def counted(*given: Any) -> Any:
+        made["set-ups"] += 1
+        return once(*given)
 
-        monkeypatch.setattr(module, name, counted)
+    monkeypatch.setattr(nodes, "_bodies", counted)
     summary(plan)
     assert without_room(plan, plan.cases_to_run()) == []
     assert graph(plan, plan.cases_to_run(), 1, "")
-    assert made == {"_bodies": 1, "_estimate": 1}
+    assert made == {"set-ups": 1}
 
 
 def test_a_run_says_before_it_begins_how_much_there_is_to_tell(tmp_path: Path, cache: Path) -> None:
