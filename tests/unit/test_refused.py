@@ -125,7 +125,7 @@ def test_what_the_machine_has_no_memory_for_is_named_and_not_begun(
     geometry = {} if given is None else {"shape": "file", "path": str(file), "mesh_size": 0.022} | given
     plan = plan_of(tmp_path / "run", tmp_path / "cache", geometry=geometry or TABLES["geometry"])
     assert summary(plan)["refused"] == []
-    monkeypatch.setattr("vdmbench.work.explain.machine_memory", lambda: 1_000_000)
+    monkeypatch.setattr("vdmbench.work.room.machine_memory", lambda: 1_000_000)
     (line,) = summary(plan)["refused"]
     assert line.startswith("fem-linear refined on a mesh of ")
     assert line.endswith(words)
