@@ -69,14 +69,14 @@ def test_a_run_is_done_whoever_reads(tmp_path: Path, redirections: str) -> None:
     assert "Traceback" not in result.stderr
 
 
-STATUS, HELP, WRONG = ("status results/runs/small", 0), ("--help", 0), ("check none.toml", 2)
+PLAN, HELP, WRONG = ("plan small.toml", 0), ("--help", 0), ("check none.toml", 2)
 
 
 @pytest.mark.parametrize(
     ("command", "code", "redirections"),
     [
-        (*STATUS, "| true"),
-        (*STATUS, ">/dev/full"),
+        (*PLAN, "| true"),
+        (*PLAN, ">/dev/full"),
         (*HELP, ">&-"),
         (*WRONG, "2>/dev/full"),
         (*WRONG, "2>&-"),
@@ -92,7 +92,7 @@ def test_an_exit_code_does_not_depend_on_the_streams(
 
 
 def test_output_that_is_lost_is_told(finished: Path) -> None:
-    assert _shell("status results/runs/small --json", ">/dev/full", finished).stderr == NOTICE
+    assert _shell("plan small.toml --json", ">/dev/full", finished).stderr == NOTICE
     assert _shell("plan small.toml", "| true", finished).stderr == "", "nobody wants it: that is no fault"
 
 
