@@ -30,7 +30,7 @@ def reserved(status: Status, bending: float, mesh: float, form: Formulation) -> 
     if not status.ok:
         return status
     if bending > LIMIT:
-        wrong = f"a known bending comes out {bending:.0%} wrong"
+        wrong = f"a known bending comes out {100 * bending:.0f} % wrong"
         if isinstance(form, BoundaryFormulation):
             message = f"the mesh is too coarse for the body's thin parts: {wrong}"
             remedy = _finer(form, bending, "above all where it is thin")

@@ -89,6 +89,7 @@ class CaseResult:
     small_strain: SmallStrainLimits | None = None  # where [limits] asks for them
     measurement: Measurement | None = None  # where [[measured]] tells what was measured on it
     inputs: InputSpread | None = None  # where [inputs] tells how well they are known
+    moved: Array | None = None  # (N,) how far remeshing moved the surface of the file near each node [m]
 
     @cached_property
     def full_load(self) -> int:

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
 
@@ -24,6 +24,7 @@ from .plots import shape
 from .svg import MARKER_PATHS
 
 _STOPS = 12  # of a colour map where it is a gradient
+_NAME = re.compile(r"\b[a-z]+(?:-[a-z0-9:]+)+|\b[a-z_]+(?:\.[a-z0-9_]+)+")  # of a model or a key
 _TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -129,9 +130,12 @@ def _environment() -> Environment:
 
 
 def unbroken(text: str) -> str:
-    """A number stays with its unit, a key with its value: `reference = "fem"` on one line."""
+    """A number stays with its unit, a key with its value, a name in one piece: `levels = 2` on one line."""
     text = re.sub(r"(?<=\w) = (?=\S)", "\u00a0=\u00a0", text)
-    return re.sub(r"(?<=\d) (?=[^\W\d]|%)", "\u00a0", text)
+    text = re.sub(r"(?<=\d) (?=[^\W\d]|%)|(?<=±) ", "\u00a0", text)
+    if not _NAME.search(text):
+        return text
+    return Markup(_NAME.sub(r'<span class="whole">\g<0></span>', str(escape(text))))
 
 
 def asset(name: str) -> Markup:

@@ -53,10 +53,12 @@ def _family_row(one: Verdict, verdicts: Verdicts, digest: Digest) -> FamilyRow:
     if not model or one.same or lead is None:
         text = " ".join(said("row", one, verdicts)).removeprefix(f"{model}: ")
         return FamilyRow(title, one.word, model, colour, (), text)
-    cases = f"{one.within} of {plural(one.judged, 'case')} within {' '.join(said('within', one))}"
-    cases += f", {one.undecided} undecided" if one.undecided else ""
     frame = f"{quantity(one.cost.frame, 's', 2)} a frame" if one.cost and one.cost.frame > 0 else ""
-    numbers = (f"{lead.name} {with_bar(lead.value, lead.bar)}", cases, frame)
+    second = f"change of shape {exact_percent(lead.deformation)}" if math.isfinite(lead.deformation) else ""
+    if one.judged > 1:
+        second = f"{one.within} of {one.judged} cases within {' '.join(said('within', one))}"
+        second += f", {one.undecided} undecided" if one.undecided else ""
+    numbers = (f"{lead.name} {with_bar(lead.value, lead.bar)}", second, frame)
     return FamilyRow(title, one.word, model, colour, numbers, "")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import warnings
 import zlib
@@ -17,8 +18,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
-from ..verdict.formatting import scale_of
+from ..verdict.formatting import quantity, scale_of
 from . import raster
+from .blocks import Still
 
 COLOUR_MAPS = ("viridis", "inferno")  # of displacements, of differences
 _PANEL = 420  # pixels
@@ -49,6 +51,13 @@ def png(panels: Sequence[Panel]) -> bytes:
     pixels = np.concatenate(_drawings(panels), axis=1)
     imsave(out, pixels, format="png", metadata=_NO_METADATA, pil_kwargs=_QUICK)
     return out.getvalue()
+
+
+def still_of(panels: Sequence[Panel], title: str, words: str) -> Still:
+    """Panels side by side as a picture of the page; `words` say what they show."""
+    url = "data:image/png;base64," + base64.b64encode(png(panels)).decode("ascii")
+    shown = [(panel.title, panel.colour_map, quantity(panel.top, "m")) for panel in panels]
+    return Still(title, url, words, shown)
 
 
 def labelled(panels: Sequence[Panel], heading: Sequence[str]) -> bytes:

@@ -14,11 +14,13 @@ from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
 from ..study.schema import Constraint, Inclusion
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, plain, plural, scale_of, short_percent
+from ..verdict.formatting import listed, plain, plural, quantity, scale_of, short_percent
 from ..verdict.loading import kind_of, name_of
-from .blocks import Scene
+from .blocks import Scene, Still
+from .picture import COLOUR_MAPS, Panel, still_of
 from .scene_picture import Outline, Part, Stage, scene_svg, style_of
 
+_USUAL = 0.95  # of the nodes of a scan are no further from its surface than is told
 _ALL_ROUND = (
     0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
 )
@@ -34,7 +36,26 @@ def scene(digest: Digest) -> Scene | None:
     stage = Stage(case.points, case.triangles, parts, outlines_of(case))
     svg = scene_svg(stage, alt=alt, salt="scene")
     same = all(np.array_equal(case.points, other.points) for other in digest.cases)
-    return Scene(svg, words, "" if same else f"The picture shows {digest.case_name(case)}.")
+    note = "" if same else f"The picture shows {digest.case_name(case)}."
+    return Scene(svg, words, note, _how_moved(digest.cases))
+
+
+def _how_moved(cases: Sequence[CaseResult]) -> Still | None:
+    """Where remeshing moved the surface of a file, from both sides, of the case that it moved furthest."""
+    known = [(case, case.moved) for case in cases if case.moved is not None]
+    if not known:
+        return None
+    case, moved = max(known, key=lambda one: float(one[1].max()))
+    top, usual = float(moved.max()), float(np.quantile(moved, _USUAL))
+    azimuth = Stage(case.points, case.triangles, parts_of(case, [case])).azimuth
+    about = case.points - (case.points.min(axis=0) + case.points.max(axis=0)) / 2
+    panels = [
+        Panel(points, case.triangles, moved / (top or 1.0), COLOUR_MAPS[1], azimuth, title, top)
+        for points, title in ((about, "from the front"), (about * [-1, -1, 1], "from behind"))
+    ]
+    at_most, share = quantity(usual, "m", 2), short_percent(_USUAL)
+    words = f"Up to {quantity(top, 'm', 2)}; {at_most} or less at {share} of the nodes."
+    return still_of(panels, "Distance between the surface of the file and the mesh", words)
 
 
 def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:

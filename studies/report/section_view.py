@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 
 import numpy as np
@@ -13,7 +12,7 @@ from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, quantity
 from .blocks import Section, Still, Text, Viewer
-from .picture import COLOUR_MAPS, Panel, png
+from .picture import COLOUR_MAPS, Panel, still_of
 from .view import azimuth, candidates, displacement_scale, payload
 
 
@@ -44,11 +43,7 @@ def surfaces(digest: Digest, room: int, *, stills: bool) -> Section | None:
 
 def _still(digest: Digest, role: str, case: CaseResult) -> Still | None:
     panels, words = still(digest, case)
-    if not panels:
-        return None
-    url = "data:image/png;base64," + base64.b64encode(png(panels)).decode("ascii")
-    shown = [(panel.title, panel.colour_map, quantity(panel.top, "m")) for panel in panels]
-    return Still(digest.title(role, case), url, words, shown)
+    return still_of(panels, digest.title(role, case), words) if panels else None
 
 
 def _introduction(digest: Digest) -> str:

@@ -34,6 +34,8 @@ def _faults(case: CaseResult) -> Iterator[str]:
     for name, mask in case.regions.items():
         if mask.shape != (n_nodes,):
             yield f"region {name} is not one of its nodes"
+    if case.moved is not None and (case.moved.shape != (n_nodes,) or not np.isfinite(case.moved).all()):
+        yield "how far its surface was moved is not a finite number for each node"
     for entry in case.study.constraints:
         if entry.region not in case.regions:
             yield f"a constraint is on region {entry.region!r}, which is not there"

@@ -62,6 +62,7 @@ from .run_directory import (
 )
 
 SCHEMA = 4
+MOVED = "surface_distance"
 STUDY_FILE, METRICS_FILE = "study.h5", "metrics.csv"
 _CSV_HASH = "case/metrics_csv"  # the SHA-256 of the one, in the other
 _VTK_TRIANGLE = 5
@@ -280,6 +281,8 @@ def _vtk_entries(case: CaseResult) -> list[Entry]:
         per_step(f"{name}.reaction_force", model.reaction_force, "N")
     for name, mask in case.regions.items():
         field(f"region.{name}", mask.astype(np.int8), "1", none)
+    if case.moved is not None:
+        field(MOVED, case.moved, "m", none)
     return entries
 
 
@@ -359,6 +362,7 @@ def _read_case(file: Stored) -> CaseResult:
         small_strain=_read_limits(file) if "limits" in file else None,
         measurement=read_measurement(file) if "measurement" in file else None,
         inputs=read_inputs(file) if "inputs" in file else None,
+        moved=file.floats(f"VTKHDF/PointData/{MOVED}") if MOVED in file.members("VTKHDF/PointData") else None,
     )
     check_case(case)
     return case

@@ -105,7 +105,7 @@ def measure(value: float, unit: str) -> str:
 def load_in_words(load: float, unit: str) -> str:
     """A force in newtons, a pressure in the unit that suits it, else a share of the full load."""
     if unit == "1":
-        return f"{load:.3g} of the full load"
+        return "the full load" if load == 1.0 else f"{load:.3g} of the full load"
     return f"{load:.3g} N" if unit == "N" else quantity(load, unit)
 
 

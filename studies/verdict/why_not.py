@@ -231,7 +231,7 @@ def _how_to_tell(shortfall: Shortfall) -> dict[str, Any]:
             finite and shortfall.linear_elements is None and is_linear(shortfall.model)
         ),
         "a small first factor in [load]": finite and _small_step(shortfall.case) is None,
-        "levels = 2 in [uncertainty]": shortfall.digest.coarse_reference is None,
+        "uncertainty.levels = 2": shortfall.digest.coarse_reference is None,
     }
     return {"wanted": [what for what, lacks in wanted.items() if lacks]}
 

@@ -148,7 +148,9 @@ def _first_of(names: Sequence[str], most: int) -> str:
 def _loads(ends: Iterable[float], unit: str) -> str:
     """`0.1 to 0.4 N`."""
     least, most = ends
-    last = f.load_in_words(most, unit)
     if least == most:
-        return last
-    return f"{least:.3g} to {last}" if unit in ("N", "1") else f"{f.load_in_words(least, unit)} to {last}"
+        return f.load_in_words(most, unit)
+    if unit == "1":
+        return f"{least:.3g} to {most:.3g} of the full load"
+    last = f.load_in_words(most, unit)
+    return f"{least:.3g} to {last}" if unit == "N" else f"{f.load_in_words(least, unit)} to {last}"

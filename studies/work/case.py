@@ -110,6 +110,7 @@ def make_case(payload: Payload, block: Block) -> None:
             small_strain=_small_strain(payload),
             measurement=measurement,
             inputs=spread,
+            moved=mesh.moved,
             mesh_quality={
                 **mesh.quality,
                 "tetrahedra": len(mesh.tetrahedra),

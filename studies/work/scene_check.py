@@ -123,8 +123,9 @@ def _too_far(loaded: list[tuple[PlannedCase, Scene]]) -> Iterator[Finding]:
             parts += [f"changes its volume by about {100 * drift:.2g} %"] * (drift > MOST_DRIFT)
             if parts:
                 told = (
-                    f"the load {' and '.join(parts)}; the reference holds for small strain and will not judge that "
-                    f'(more than {MOST_MOVED:.0%} or {MOST_DRIFT:.0%}): lower the load, or take reference = "fem"'
+                    f"the load {' and '.join(parts)}; the reference holds for small strain and will not judge "
+                    f"that (more than {MOST_MOVED:.0%} or {MOST_DRIFT:.0%}): "
+                    'lower the load, or take study.reference = "fem"'
                 )
                 yield ("study", "reference"), _in_case(told, case)
                 return

@@ -62,7 +62,7 @@ def shown(html: str) -> str:
     html = re.sub(r"<style>.*?</style>|<script.*?</script>|<title>.*?</title>", "", html, flags=re.S)
     html = re.sub(r'<svg[^>]*aria-label="([^"]*)".*?</svg>', r"[\1]", html, flags=re.S)
     html = re.sub(r"<svg.*?</svg>", "", html, flags=re.S)
-    html = re.sub(r"\s+", " ", html)
+    html = re.sub(r'<span class="whole">([^<]*)</span>', r"\1", re.sub(r"\s+", " ", html))
     html = re.sub(r"</(?:p|tr|li|h1|h2|div|figure|figcaption|caption|dl|summary|ul)>", "\n", html)
     html = re.sub(r"</t[hd]>", " | ", html)
     text = html_module.unescape(re.sub(r"<[^>]*>", " ", html)).replace("\u00a0", " ")

@@ -117,6 +117,7 @@ def example_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45"
         reference="fem:direct",
         reference_error={"relative_l2": 0.01, "observed_order": float("nan"), "gci:max_nodal_error": 0.25},
         mesh_quality={"worst_sicn": 0.3},
+        moved=np.array([0.0, 1e-3, 2e-3, 4e-4]),
         measurement=example_measurement(),
         inputs=example_inputs(),
         small_strain=SmallStrainLimits(

@@ -232,7 +232,7 @@ def test_what_is_not_measured_is_asked_for() -> None:
     wanted = [
         '"fem-linear" among the models',
         "a small first factor in [load]",
-        "levels = 2 in [uncertainty]",
+        "uncertainty.levels = 2",
     ]
     assert causes(make_run([bare])) == {NOT_TOLD: Reason(NOT_TOLD, about={"wanted": wanted})}
 
