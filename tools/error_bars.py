@@ -34,12 +34,10 @@ FOUND = ROOT / "results" / "error-bars.json"
 ROUNDING = 1e-9  # a distance up to this, of a number with a unit times the number, is the solver's tolerance
 HEAD = """# What the error bars of two mesh levels are worth
 
-Made by `make evidence WHAT=error_bars`.
-A study with `uncertainty.levels = 2` has the reference on its mesh split once, and for
-a bar the difference to that on the mesh itself. Here, on shipped studies' own meshes, it is split once more. A bar
-holds where it is at least the distance of its number from the best estimate: the number for the reference that
-Richardson's extrapolation of the three levels gives, by the order observed. "Used" is that distance over the bar:
-at most 1 where it holds. Cases are numbered from 1, as `vdmbench plan` lists them.
+A study with `uncertainty.levels = 2` has the reference on its mesh split once; its bar is the difference to that on
+the mesh itself. Here shipped studies split it once more. A bar holds where it reaches from its number to the best
+estimate: Richardson's extrapolation of the three levels. "Used" is that distance over the bar.
+`make evidence WHAT=error_bars` writes this page, and each case to `error-bars.json` beside it.
 """
 
 
@@ -127,33 +125,19 @@ def held(rows: Iterable[Mapping[str, Any]], metrics: Iterable[str]) -> tuple[int
 
 def document(rows: Sequence[Mapping[str, Any]]) -> str:
     """The whole of `results/error-bars.md`."""
-    by_case = [
-        [
-            row["study"],
-            str(row["case"]),
-            f"{1e3 * row['mesh_size']:g} mm",
-            f"± {percent(row['bar'])}",
-            f"{row['order']:.2f} / {row['order_deformation']:.2f}",
-            " / ".join(f"{row['own'][metric]:.2f}" for metric in MEASURES),
-            " / ".join(f"{max(row['used'][metric]):.2f}" for metric in MEASURES),
-        ]
-        for row in rows
-    ]
     by_metric = []
     for metric in METRICS:
         if shares := [share for row in rows for share in row["used"].get(metric, [])]:
             counts = "{} of {}".format(*held(rows, [metric]))
             by_metric.append([f"`{metric}`", counts, f"{median(shares):.2g}", f"{max(shares):.2g}"])
     vector, deformation = (sum(row["own"][metric] <= 1.0 for row in rows) for metric in MEASURES)
-    head = ["study", "case", "mesh", "bar", "order", "used by the reference's own mesh", "used at most"]
+    bars, orders, studies = ([row[key] for row in rows] for key in ("bar", "order", "study"))
     return (
-        HEAD
-        + "\nThe two errors, displacement / deformation, but for the bar, which is the displacement's:\n\n"
-        + table(head, by_case)
-        + "\nOf the reference on the study's own mesh the error is its own alone: its bars hold in "
-        + f"{vector} / {deformation} of {len(rows)} cases.\nOf all models, and of the reference's own figures:\n\n"
-        + table(["number", "bars that hold", "used, median", "used at most"], by_metric)
-    )
+        f"{HEAD}\n{len(rows)} cases of {len(set(studies))} studies, bars of {percent(min(bars))} to "
+        f"{percent(max(bars))}, orders of {min(orders):.2g} to {max(orders):.2g}. On the study's own\nmesh the "
+        f"error of the reference is its own alone: there {vector} / {deformation} of {len(rows)} bars of "
+        "displacement / deformation\nhold. Of all models, and of the reference's own figures:\n\n"
+    ) + table(["number", "bars that hold", "used, median", "used at most"], by_metric)
 
 
 def main(name: str, arguments: Sequence[str]) -> None:

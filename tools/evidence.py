@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from tools.documents import CASES, README, ROOT, RUNS, finished, rows_shown, show, table
+from tools.documents import CASES, ROOT, RUNS, finished, show, table
 from vdmbench.measures.bars import at_full_load, reference_bar, value_bar
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
@@ -90,20 +90,35 @@ def own_error(cases: Sequence[CaseResult]) -> list[float]:
     return [float(np.mean([reference_bar(case, measure) for case in cases])) for measure in MEASURES]
 
 
+def kept(path: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """All rows of a table in its CSV file, those of bodies that were not measured anew too."""
+    place = ROOT / path
+    _, *old = csv.reader(place.read_text(encoding="utf-8").splitlines()) if place.exists() else [head]
+    anew = {row[0] for row in rows}
+    found = [*map(list, rows), *(row for row in old if row[0] not in anew)]
+    with place.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([head, *found])
+    return found
+
+
 # --- docs/evidence/accuracy.md ---
 
 
 def accuracy(name: str, arguments: Sequence[str]) -> None:
     """Six patches on each body; a surface may be named, which goes through `accuracy-organ`; its rows stay else."""
     own = EVIDENCE[name]
-    rows = {row[0]: row for row in map(accuracy_row, own["rows"])}
+    rows = [accuracy_row(row) for row in own["rows"]]
     for surface in (Path(argument).resolve() for argument in arguments):
-        for moved in (False, True):
-            row = accuracy_row({"body": surface.stem, "moved": moved}, surface=surface)
-            rows[row[0]] = row
-    document = ROOT / own["document"]
-    rows = rows | {row[0]: row for row in rows_shown(document, own["part"]) if row[0] not in rows}
-    show(document, own["part"], table(accuracy_head(), rows.values()))
+        rows += [accuracy_row({"body": surface.stem, "moved": m}, surface=surface) for m in (False, True)]
+    rows = kept(own["all_rows"], accuracy_head(), rows)
+    show(ROOT / own["document"], own["part"], table(*accuracy_shown(rows)))
+
+
+def accuracy_shown(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the page: the means of the two errors, without nodes, loads, worst and consistent form."""
+    columns = [k for k, title in enumerate(accuracy_head()) if title not in ("nodes", "loads", "consistent")]
+    cells = [[" / ".join(row[k].partition(" (")[0].split(" / ")[:2]) for k in columns] for row in rows]
+    return [accuracy_head()[k] for k in columns], cells
 
 
 def accuracy_head() -> list[str]:
@@ -165,11 +180,9 @@ def ratios(name: str, arguments: Sequence[str]) -> None:
         rows += ratio_rows(study.removeprefix("accuracy-"), study)
     for surface in (Path(argument).resolve() for argument in arguments):
         rows += ratio_rows(surface.stem, "accuracy-organ", surface=surface)
-    kept = ROOT / own["all_rows"]
-    head, *old = csv.reader(kept.read_text(encoding="utf-8").splitlines())
-    rows += [row for row in old if row[0] not in {row[0] for row in rows}]
-    with kept.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([head, *rows])
+    elements = EVIDENCE["accuracy"]["columns"]["fem-linear"]
+    head = ["body", "nu", "reference's own", "its volume", "bem, tissue", "bem, fluid", elements]
+    rows = kept(own["all_rows"], head, rows)
     show(ROOT / own["document"], own["part"], table(head[1:], over_bodies(rows)))
 
 
@@ -227,7 +240,7 @@ def _mean_cell(cells: Sequence[str]) -> str:
 
 
 def scenes(name: str, arguments: Sequence[str]) -> None:
-    """Every shipped study against elements; README's sentence is of its columns' ranges."""
+    """Every shipped study against elements; README sums up. Arguments are studies, for their rows alone."""
     own = EVIDENCE[name]
     columns: dict[str, str] = own["columns"]
     rows, ranges = [], {model: [] for model in columns}
@@ -236,18 +249,17 @@ def scenes(name: str, arguments: Sequence[str]) -> None:
         rows.append([study, *scene_cells(run.cases, columns)])
         for model, found in ranges.items():
             found += [e for e in _displacement_errors(run.cases, model) if np.isfinite(e)]
-    if arguments:
-        print(table(["study"], rows))
-        return
     head = ["study", "cases", "reference", "its own", "rigid", "least along normals", *columns.values()]
-    show(ROOT / own["document"], own["part"], table(head, rows))
+    kept(own["all_rows"], head, rows)
+    if arguments:
+        return
     told = []
     for model, errors in ranges.items():
         span = f"{as_per_cent(min(errors))} to {as_per_cent(max(errors))} %"
         within = f"{sum(error <= 0.1 for error in errors)}"
         told.append([f"`{model}`", f"{len(errors)}", f"{as_per_cent(np.median(errors))} %", span, within])
     columns_of = ["model", "scenes", "median error", "range", "within 10 %"]
-    show(README, "scenes", f"{answer(ranges['vdm-paper'])}\n\n{table(columns_of, told)}")
+    show(ROOT / own["document"], own["part"], f"{answer(ranges['vdm-paper'])}\n\n{table(columns_of, told)}")
 
 
 def answer(errors: Sequence[float]) -> str:
@@ -343,7 +355,7 @@ def measured(name: str, _: Sequence[str]) -> None:
 
 
 def measured_table(run: Run) -> str:
-    """The summary of a run against its measurement, as its page has it, with the time of a set-up."""
+    """The summary of a run against its measurement, as its page has it, without times."""
     from vdmbench.report.blocks import Table
     from vdmbench.report.section_measurement import against_measurement
     from vdmbench.verdict.digest import Digest
@@ -351,12 +363,10 @@ def measured_table(run: Run) -> str:
     section = against_measurement(Digest(run))
     assert section is not None, "the run has no measurement"
     summary = next(block for block in section.blocks if isinstance(block, Table))
-    (case,) = run.cases
-    models = [case.models.get(row[0].text) for row in summary.rows]
-    setups = [quantity(model.seconds_setup, "s") if model else NOTHING for model in models]
     head = [column.title[:1].lower() + column.title[1:] for column in summary.columns]
-    rows = [[*(cell.text for cell in row), setup] for row, setup in zip(summary.rows, setups, strict=True)]
-    return table([*head, "set-up"], rows)
+    shown_here = [k for k, title in enumerate(head) if title not in ("of rms of D", "u_D", "per frame")]
+    rows = [[row[k].text for k in shown_here] for row in summary.rows]
+    return table([head[k] for k in shown_here], rows)
 
 
 def fits(found: Sequence[Mapping[str, Any]]) -> str:
@@ -409,36 +419,28 @@ def league_study(body: str, load: str, models: Sequence[str]) -> str:
 
 def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
     """A line for each model; a failure is within no limit, and what is within one with its bar is so surely."""
-    limits = EVIDENCE["league"]["limits"]
+    limit = EVIDENCE["league"]["limit"]
+    head = ["model", "failed", "median error", "worst", f"within {short_percent(limit)}", "surely"]
     rows = []
     for model in models:
         errors = np.array([at_full_load(case, model, VECTOR) for case in cases])
         bars = np.array([value_bar(case, model, VECTOR) for case in cases])
-        within = [float(np.mean(errors <= limit)) for limit in limits]
-        surely = [float(np.mean(errors + bars <= limit)) for limit in limits]
+        within, surely = float(np.mean(errors <= limit)), float(np.mean(errors + bars <= limit))
         there = np.flatnonzero(np.isfinite(errors))
-        middle = there[errors[there].argsort()[(len(there) - 1) // 2]] if len(there) else None
+        cells = [model, str(len(cases) - len(there))]
+        if not len(there):
+            rows.append((0.0, np.inf, [*cells, *(NOTHING,) * 6]))
+            continue
+        middle = there[errors[there].argsort()[(len(there) - 1) // 2]]
         results = [cases[k].models[model] for k in there]
         times = (
             [result.seconds_per_step[cases[k].full_load] for k, result in zip(there, results, strict=True)],
             [result.seconds_setup for result in results],
         )
-        cells = [model, str(len(cases)), str(len(cases) - len(there))]
-        if middle is None:
-            rows.append((0.0, np.inf, [*cells, *(NOTHING,) * 7]))
-            continue
         cells += [f"{percent(errors[middle])} ± {100 * bars[middle]:.2g} %", percent(errors[there].max())]
-        cells += [f"{100 * m:.0f} % ({100 * s:.0f} % surely)" for m, s in zip(within, surely, strict=True)]
+        cells += [f"{100 * within:.0f} %", f"{100 * surely:.0f} %"]
         cells += [quantity(float(np.median(taken)), "s") for taken in times]
-        rows.append((-within[1], errors[middle], cells))
-    head = [
-        "model",
-        "cases",
-        "failed",
-        "median error",
-        "worst",
-        *(f"within {short_percent(x)}" for x in limits),
-    ]
+        rows.append((-within, errors[middle], cells))
     return table([*head, "frame", "set-up"], [row[2] for row in sorted(rows, key=lambda row: row[:2])])
 
 
@@ -449,32 +451,27 @@ def performance(name: str, arguments: Sequence[str]) -> None:
     """What `vdmbench bench` measures, kept in results/bench."""
     from vdmbench.bench import amount, answers, error_text, median, read_bench, seconds
 
-    own, kept = EVIDENCE[name], ROOT / "results" / "bench"
+    own, there = EVIDENCE[name], ROOT / "results" / "bench"
     surface = ["--surface", Path(arguments[0]).absolute()] if arguments else []
-    if not (kept / "bench.json").exists():
-        finished("bench", *surface, "--out", kept, OPENBLAS_NUM_THREADS="1")
-    bench = read_bench(kept / "bench.json")
+    if not (there / "bench.json").exists():
+        finished("bench", *surface, "--out", there, OPENBLAS_NUM_THREADS="1")
+    bench = read_bench(there / "bench.json")
     finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
     rows = []
     for e in [e for mesh in finest for e in bench.on(mesh) if e.model in own["models"]]:
         times = [e.setup, e.frame_all, e.columns, e.frame_local, e.recut]
-        told = [seconds(median(values)) for values in times]
-        rows.append([e.body, str(e.nodes), e.model, *told, amount(e.peak_bytes, "B"), error_text(e)])
-    head = [
-        "body",
-        "nodes",
-        "model",
-        "set-up",
-        "frame, all nodes",
-        "columns",
-        "frame, contact",
-        "re-cut",
-        "memory",
+        cells = [seconds(median(values)) for values in times]
+        rows.append([e.body, str(e.nodes), e.model, *cells, amount(e.peak_bytes, "B"), error_text(e)])
+    head = ["body", "nodes", "model", "set-up", "frame, all nodes", "columns", "frame, contact", "re-cut"]
+    head += ["memory", "error"]
+    kept(own["all_rows"], head, rows)
+    first, *others = [
+        row for row in answers(bench) if not any(words in row["question"] for words in own["left_out"])
     ]
-    told = answers(bench)
-    first = table(list(told[0]), [list(row.values()) for row in told])
+    told = table(list(first), [list(row.values()) for row in (first, *others)])
+    of_one = table(head[2:], [row[2:] for row in rows if row[0] == own["body"]])
     machine = f"{bench.machine['processor']}, one thread; medians of {bench.machine['rounds']} rounds.\n\n"
-    show(ROOT / own["document"], own["part"], f"{machine}{first}\n{table([*head, 'error'], rows)}")
+    show(ROOT / own["document"], own["part"], f"{machine}{told}\nThe {own['body']}:\n\n{of_one}")
 
 
 def main(arguments: Sequence[str]) -> None:

@@ -18,7 +18,7 @@ import tomli_w
 from solver_common.arrays import Array, Index
 from tests.vdm import vdm_shapes
 from tools.documents import ROOT, show, table
-from tools.evidence import EVIDENCE, MEASURES, RUNS, finished, slashed
+from tools.evidence import EVIDENCE, MEASURES, RUNS, finished, kept, slashed
 from vdmbench.body.geometry import build_mesh
 from vdmbench.measures.bars import at_full_load, reference_bar
 from vdmbench.measures.case import CaseResult
@@ -154,8 +154,8 @@ def _row(body: str, load: str, case: CaseResult) -> Row:
     return Row(body, load, len(case.points), errors, [reference_bar(case, m) for m in MEASURES], told)
 
 
-def written(rows: Sequence[Row]) -> tuple[str, str]:
-    """The table of all rows, and what it comes to."""
+def all_rows(rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
+    """Head and lines of the table of all: a line a load on a body."""
     lines = []
     for body, load in dict.fromkeys((row.body, row.load) for row in rows):
         own = [row for row in rows if (row.body, row.load) == (body, load)]
@@ -165,21 +165,38 @@ def written(rows: Sequence[Row]) -> tuple[str, str]:
         lines.append([body, str(own[0].nodes), load, *map(slashed, cells), worst.told or "nothing"])
     ratios = EVIDENCE["untuned"]["study"]["sweep"]["tissue.poisson_ratio"]
     head = ["body", "nodes", "load", *(f"nu {ratio}" for ratio in ratios), "elements, at worst", "±", "told"]
+    return head, lines
+
+
+def by_body(lines: Sequence[Sequence[str]]) -> str:
+    """The page's table: for each body and load `bem` at its worst ratio, in brackets the elements at theirs."""
+    loads = list(dict.fromkeys(line[2] for line in lines))
+    cells = {(line[0], line[2]): f"{max(line[3:-3], key=_error)} ({line[-3]})" for line in lines}
+    bodies = dict.fromkeys(line[0] for line in lines)
+    return table(["body", *loads], [[body, *(cells[body, load] for load in loads)] for body in bodies])
+
+
+def _error(cell: str) -> float:
+    return float(cell.split(" / ")[0])
+
+
+def summed_up(rows: Sequence[Row]) -> str:
+    """What the table comes to."""
     off = [row for row in rows if max(row.errors[FORM]) > ENOUGH]
     silent = sum(not row.told for row in off)
     form, elements = (
         slashed([median(row.errors[m][k] for row in rows) for k in (0, 1)]) for m in (FORM, ELEMENTS)
     )
-    told = (
+    return (
         f"{len(rows) - len(off)} of {len(rows)} cases are within 10 % in both errors. Of the other {len(off)} the "
         f"tool gives {silent} without a reservation.\nMedians: {form} %, of the elements {elements} %.\n"
     )
-    return table(head, lines), told
 
 
 def main(name: str, arguments: Sequence[str]) -> None:
     """Run all and write the page's tables."""
     surface = Path(arguments[0]).resolve() if arguments else None
     rows = [row for body, make in bodies(surface).items() for row in solved(body, make())]
-    for part, text in zip((name, f"{name}-sum"), written(rows), strict=True):
-        show(ROOT / EVIDENCE[name]["document"], part, text)
+    document, lines = ROOT / EVIDENCE[name]["document"], kept(EVIDENCE[name]["all_rows"], *all_rows(rows))
+    show(document, name, by_body(lines))
+    show(document, f"{name}-sum", summed_up(rows))

@@ -35,6 +35,11 @@ def assert_shown(found: list[str], old: list[str]) -> None:
             assert_allclose(float(a), float(b), rtol=0.06, atol=1.01 * digit)
 
 
+def all_rows(name: str) -> list[list[str]]:
+    """The rows of a table in its CSV file."""
+    return list(csv.reader((ROOT / EVIDENCE[name]["all_rows"]).read_text(encoding="utf-8").splitlines()))[1:]
+
+
 def test_a_small_command_gives_the_rows_that_are_shown() -> None:
     """The coarsest mesh of each exact answer."""
     there = {tuple(row[:3]): row for row in rows_shown(anchors.DOCUMENT, anchors.PART)}
@@ -46,9 +51,7 @@ def test_a_small_command_gives_the_rows_that_are_shown() -> None:
 
 @pytest.mark.slow
 def test_a_shipped_study_gives_its_row(tmp_path: Path) -> None:
-    (old,) = (
-        row for row in rows_shown(ROOT / EVIDENCE["accuracy"]["document"], "accuracy") if row[0] == "box"
-    )
+    (old,) = (row for row in all_rows("accuracy") if row[0] == "box")
     assert_shown(evidence.accuracy_row({"body": "box"}, runs=tmp_path), old)
 
 
@@ -82,9 +85,7 @@ def test_a_row_moves_the_patch_inward_or_deepens_the_bed_and_leaves_the_rest(
     changes, words = evidence.accuracy_changes(path.stem, row)
     (tmp_path / "study.toml").write_text(overridden(path.read_text(), changes))
     changed = expand(load_study(tmp_path / "study.toml"))
-    assert row["body"] + words in {
-        one[0] for one in rows_shown(ROOT / EVIDENCE["accuracy"]["document"], "accuracy")
-    }
+    assert row["body"] + words in {one[0] for one in all_rows("accuracy")}
     for case, shipped in zip(changed, expand(load_study(path)), strict=True):
         finger, base = (
             next(c for c in case.study.constraints if c.region == region) for region in ("finger", "base")
@@ -126,10 +127,9 @@ def test_shares_of_the_league_count_failures_and_bars() -> None:
     ]
     rows = {row[0]: row[1:] for row in cells(evidence.league_table(cases, list("cba")))[1:]}
     assert list(rows) == ["a", "b", "c"], "the best first"
-    assert rows["a"][:4] == ["3", "0", "2.00 % ± 1.5 %", "4.00 %"]
-    assert rows["a"][4] == "100 % (67 % surely)", "0.04 + 0.015 is not surely within 0.05"
-    assert rows["b"][1] == "1"
-    assert rows["b"][5] == "67 % (33 % surely)", "a failure is within nothing"
+    assert rows["a"][:5] == ["0", "2.00 % ± 1.5 %", "4.00 %", "100 %", "100 %"]
+    assert rows["b"][0] == "1"
+    assert rows["b"][3:5] == ["67 %", "33 %"], "a failure is within nothing, and 0.095 + 0.015 not surely"
 
 
 def test_a_scene_tells_the_range_over_its_cases() -> None:
@@ -153,10 +153,22 @@ def test_what_is_used_of_a_bar_by_hand_and_that_the_bars_hold() -> None:
     assert error_bars.document(rows) == (ROOT / EVIDENCE["error_bars"]["document"]).read_text()
 
 
-def test_the_ratios_that_are_shown_are_means_of_all_bodies() -> None:
-    own = EVIDENCE["ratios"]
-    _, *rows = csv.reader((ROOT / own["all_rows"]).read_text(encoding="utf-8").splitlines())
-    assert evidence.over_bodies(rows) == rows_shown(ROOT / own["document"], own["part"])
+def test_what_is_shown_is_made_of_all_rows() -> None:
+    def there(name: str) -> list[list[str]]:
+        return rows_shown(ROOT / EVIDENCE[name]["document"], EVIDENCE[name]["part"])
+
+    assert evidence.over_bodies(all_rows("ratios")) == there("ratios")
+    assert evidence.accuracy_shown(all_rows("accuracy"))[1] == there("accuracy")
+    assert cells(untuned.by_body(all_rows("untuned")))[1:] == there("untuned")
+    assert there("performance")[-1] == next(
+        r[2:] for r in reversed(all_rows("performance")) if r[0] == "organ"
+    )
+
+
+def test_rows_of_what_was_not_measured_anew_stay(tmp_path: Path) -> None:
+    place = tmp_path / "rows.csv"
+    assert evidence.kept(str(place), ["body", "x"], [["a", "1"], ["b", "2"]]) == [["a", "1"], ["b", "2"]]
+    assert evidence.kept(str(place), ["body", "x"], [["b", "3"]]) == [["b", "3"], ["a", "1"]]
 
 
 def ladder_run(*, wrong: float) -> evidence.Run:
