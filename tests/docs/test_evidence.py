@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.example_case import example_measurement
 from tests.report.runs import make_case, make_run
-from tests.unit.example_case import example_measurement
 from tools import anchors, error_bars, evidence, mutants, speed, untuned
 from tools.documents import CASES, README, ROOT, cells, rows_shown, shown
 from tools.evidence import EVIDENCE, MEASURES

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from tests.unit.example_case import example_case
+from tests.example_case import example_case
 from vdmbench.measures.case import Run
 from vdmbench.store import cases as store
 from vdmbench.store import hdf5

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from solver_common.solution import Status
-from tests.unit.typed_study import typed_study
+from tests.example_case import typed_study
 from vdmbench.body.surface_measures import Surface
 from vdmbench.machine.processors import processor_name
 from vdmbench.measures.case import CaseResult, MetricSeries, Run

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.example_case import asked
 from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run
-from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.blocks import Figures, Section, Table, Text
 from vdmbench.report.section_force import force_against_indentation

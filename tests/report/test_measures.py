@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
+from tests.example_case import asked
 from tests.report.runs import make_case, make_run
-from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.report.section_measures import anisotropy_of_the_response
 from vdmbench.verdict.digest import Digest

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.example_case import asked
 from tests.report.runs import make_case, make_run
-from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.page import page_html
 from vdmbench.report.section_scene import parts_of, scene, scene_words

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.unit.example_case import example_case
+from tests.example_case import asked, example_case
 from tests.unit.fem_shapes import cube
-from tests.unit.typed_study import asked
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh

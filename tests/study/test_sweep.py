@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from vdmbench.study.config import Study, case_inputs, expand, resolved
 from vdmbench.work.keys import case_hash, wanted
 
-from .study_texts import SWEPT, load, sweep_problems, swept
+from .study_texts import SMALL, SWEPT, load, sweep_problems, swept
 
 
 def answers(study: Study) -> dict[str, tuple[str, ...]]:
@@ -85,6 +85,14 @@ def test_any_value_of_a_study_can_be_swept(
         assert case.swept_units == {key: unit}
     assert cases[0].swept != cases[1].swept
     assert case_inputs(cases[0].study) != case_inputs(cases[1].study)
+
+
+def test_steps_lead_from_factor_to_factor(tmp_path: Path) -> None:
+    cases = swept(tmp_path, '"load.steps" = [1, 2, 5]', SMALL + "[load]\nfactors = [1, -0.5]\n")
+    histories = [case.study.load.history for case in cases]
+    assert histories[0] == (1.0, -0.5)
+    assert histories[1] == (0.5, 1.0, 0.25, -0.5)
+    assert_allclose(histories[2], [0.2, 0.4, 0.6, 0.8, 1, 0.7, 0.4, 0.1, -0.2, -0.5], rtol=0, atol=1e-15)
 
 
 def test_zip_goes_in_step_and_may_repeat_a_value(tmp_path: Path) -> None:

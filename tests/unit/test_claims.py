@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from tests.command import SMALL_STUDY, vdmbench
+from tests.example_case import asked
 from tests.report.runs import make_case, make_run
-from tests.unit.typed_study import asked
 from vdmbench.evidence.claims import CLAIMS
 from vdmbench.evidence.claims_page import claims_html, verdict_rows, verdicts, write_claims
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits

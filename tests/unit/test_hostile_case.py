@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.unit.example_case import example_case
+from tests.example_case import example_case
 from tests.unit.test_store import _replace, _reseal
 from vdmbench.measures.case import Run
 from vdmbench.store import cases as store

@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.command import vdmbench
+from tests.example_case import example_measurement
 from tests.report.runs import icosphere, make_case, make_run
-from tests.unit.example_case import example_measurement
 from vdmbench.body.mesh import Mesh
 from vdmbench.measures.measurement import MOST, RMS, hold_against, step_rms
 from vdmbench.measures.pushed import Answer

@@ -17,6 +17,7 @@ import tomli_w
 from numpy.testing import assert_array_equal
 
 from tests.command import strict_json
+from tests.example_case import N_STEPS, example_case
 from vdmbench.measures import uncertainty
 from vdmbench.measures.case import Run
 from vdmbench.store import cases as store
@@ -24,8 +25,6 @@ from vdmbench.store import hdf5
 from vdmbench.store.hdf5 import StoreError
 from vdmbench.store.run_directory import RESOLVED, STUDY, case_path, failure_path, write_failure, write_plan
 from vdmbench.study.config import resolved
-
-from .example_case import N_STEPS, example_case
 
 
 def assert_same(a: Any, b: Any, where: str = "") -> None:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.example_case import model_result
 from tests.work.shared_work import TABLES, plan_of, run
 from vdmbench import models
 from vdmbench.work.cache import answer_path, read_answer, write_answer
 
-from .example_case import model_result
 from .test_store import assert_same
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.example_case import typed_study
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
 from tests.study.study_texts import SMALL
-from tests.unit.typed_study import typed_study
 from vdmbench.machine.processors import processor_name
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.result import FrameTimes

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from solver_common.solution import Status
+from tests.example_case import asked, typed_study
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew, sweep_run
-from tests.unit.typed_study import asked, typed_study
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.study.config import resolved
 from vdmbench.study.fields import targets

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.example_case import asked
 from tests.report.runs import make_case, make_run, measured_anew
-from tests.unit.typed_study import asked
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
 from vdmbench.study.registry import family_of

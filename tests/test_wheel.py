@@ -16,7 +16,7 @@ import pytest
 
 from tests.command import write_study
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 SOURCES = (
     "pyproject.toml",
     "README.md",

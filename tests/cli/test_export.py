@@ -14,8 +14,8 @@ import pytest
 import pyvista
 from numpy.testing import assert_allclose
 
+from tests.example_case import asked
 from tests.report.runs import make_case, make_run, sweep_run
-from tests.unit.typed_study import asked
 from vdmbench.cli import verb_export
 from vdmbench.cli.arguments import parse
 from vdmbench.measures.case import CaseResult, Run

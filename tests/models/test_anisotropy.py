@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.study.study_texts import SMALL, swept
 from vdm.material import Parameters
 from vdm.surface import SurfaceMesh
 from vdmbench import models
@@ -137,24 +136,3 @@ def test_contrast_of_edges_is_more_than_that_of_the_skin(contrast: float) -> Non
     tensor = np.einsum("e,ea,eb->ab", np.asarray(tension)[spokes], d, d)
     assert_allclose(tensor[0, 0] / tensor[1, 1], (1 + 3 * contrast) / (3 + contrast), rtol=1e-12, atol=0)
     assert_allclose(tensor[0, 1], 0.0, rtol=0, atol=1e-12 * contrast)
-
-
-def test_contrast_and_direction_can_be_swept(tmp_path: Path) -> None:
-    base = SMALL + "[anisotropy]\nfibre_direction = [1, 0, 0]\ncontrast = 2\n"
-    cases = swept(tmp_path, '"anisotropy.contrast" = [1, 4]\n"anisotropy.fibre_direction.1" = [0, 1]', base)
-    found = [case.study.anisotropy for case in cases]
-    assert [(a.contrast, a.fibre_direction) for a in found if a is not None] == [
-        (1.0, (1.0, 0.0, 0.0)),
-        (1.0, (1.0, 1.0, 0.0)),
-        (4.0, (1.0, 0.0, 0.0)),
-        (4.0, (1.0, 1.0, 0.0)),
-    ]
-
-
-def test_steps_lead_from_factor_to_factor(tmp_path: Path) -> None:
-    cases = swept(tmp_path, '"load.steps" = [1, 2, 5]', SMALL + "[load]\nfactors = [1, -0.5]\n")
-    histories = [case.study.load.history for case in cases]
-    assert histories[0] == (1.0, -0.5)
-    assert histories[1] == (0.5, 1.0, 0.25, -0.5)
-    assert_allclose(histories[2], [0.2, 0.4, 0.6, 0.8, 1, 0.7, 0.4, 0.1, -0.2, -0.5], rtol=0, atol=1e-15)
-    assert [case.label for case in cases] == ["steps = 1", "steps = 2", "steps = 5"]

@@ -1,15 +1,36 @@
-"""A small finished case with every field filled, for tests of the store."""
+"""Studies and a finished case made by hand, for tests of what reads them."""
 
 from __future__ import annotations
+
+import dataclasses
+from typing import Any
 
 import numpy as np
 
 from solver_common.solution import Status
-from tests.unit.typed_study import typed_study
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, SmallStrainLimits
 from vdmbench.measures.input_spread import InputSpread, ModelSpread
 from vdmbench.measures.measurement import Measurement, Quantity
 from vdmbench.scene.result import ModelResult
+from vdmbench.study.config import resolved
+from vdmbench.study.schema import Study
+
+_LEAST: dict[str, Any] = {
+    "study": {"name": "ball", "models": ["vdm-paper"]},
+    "geometry": {"shape": "sphere"},
+    "tissue": {"youngs_modulus": 5e3, "poisson_ratio": 0.45},
+}
+
+
+def typed_study(**tables: Any) -> Study:
+    """A study of these tables, which need not fit each other, and of the least that a study has."""
+    return Study.model_validate(_LEAST | tables)
+
+
+def asked(case: CaseResult, **tables: Any) -> CaseResult:
+    """The case with these tables of its study in place of its own."""
+    return dataclasses.replace(case, study=Study.model_validate(resolved(case.study) | tables))
+
 
 N_STEPS = 3
 STUDY = typed_study(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
+import re
 import subprocess
 import sys
 from functools import cache
@@ -11,9 +13,19 @@ from pathlib import Path
 
 import pytest
 
+import vdm.material
+import vdm.peers.mass_spring
+import vdm.solution
+from solver_common.solution import Solution
 from tests.command import vdmbench, write_study
+from tests.report.runs import icosphere
+from vdm.material import Parameters
+from vdm.surface import SurfaceMesh
+from vdmbench import models
+from vdmbench.scene.result import ModelResult
+from vdmbench.study.errors import LIBRARIES as SHARED_LIBRARIES
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 LIBRARIES = {"solver_common", "vdm", "fem_reference"}
 PACKAGES = (*sorted(LIBRARIES), "studies")
 FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
@@ -202,109 +214,107 @@ def test_the_command_heeds_ctrl_c_before_it_loads_anything() -> None:
     assert not loaded & {"argparse", "pathlib", "typing", "traceback"}
 
 
-def test_help_imports_nothing_heavy() -> None:
-    code = (
-        "import sys, contextlib\n"
-        "from vdmbench.cli.main import main\n"
-        "with contextlib.suppress(SystemExit): main(['--help'])\n"
-        "print(sorted({name.split('.')[0] for name in sys.modules}), file=sys.stderr)\n"
+def _loaded(*code: str, directory: Path = ROOT) -> tuple[set[str], str]:
+    """The modules that a Python program has loaded in the end, and what it prints."""
+    program = "\n".join(["import contextlib, sys", *code, "print(sorted(sys.modules), file=sys.stderr)"])
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=directory
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "verbs" in result.stdout
-    heavy = {
-        "numpy",
-        "scipy",
-        "skfem",
-        "gmsh",
-        "meshio",
-        "pyvista",
-        "vtkmodules",
-        "h5py",
-        "matplotlib",
-        "pydantic",
-        "distributed",
-    }
-    assert not heavy & set(ast.literal_eval(result.stderr))
+    return set(ast.literal_eval(ended.stderr)), ended.stdout
 
 
-def test_the_report_starts_without_solvers_and_scipy() -> None:
-    code = "import sys, vdmbench.report.page; print(sorted({name.split('.')[0] for name in sys.modules}))"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"scipy", "vdm", "fem_reference", "gmsh", "vtkmodules"} & set(ast.literal_eval(result.stdout))
+def _loaded_by(*arguments: str, directory: Path = ROOT) -> tuple[set[str], str]:
+    """The same of a command line."""
+    run = f"with contextlib.suppress(SystemExit): main({list(arguments)!r})"
+    return _loaded("from vdmbench.cli.main import main", run, directory=directory)
 
 
-def test_what_only_plans_and_reports_starts_without_the_libraries_of_those_who_compute() -> None:
-    """The runner of a study leaves meshing and solving to its workers; each library costs it up to a second."""
-    code = (
-        "import sys\n"
-        "from vdmbench.study.config import expand, load_study\n"
-        "import vdmbench.work.run, vdmbench.work.plan, vdmbench.report.page, pathlib, tempfile\n"
-        "study = load_study(pathlib.Path('studies/cases/quickstart.toml'))\n"
-        "with tempfile.TemporaryDirectory() as name:\n"
-        "    where = pathlib.Path(name)\n"
-        "    plan = vdmbench.work.plan.make_plan(study, expand(study), where, where)\n"
-        "    assert vdmbench.work.run.summary(plan)\n"
-        "print(sorted(sys.modules))"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
-    )
-    solving = {"scipy", "skfem", "pyamg", "vdm.model"}
-    heavy = solving | {"gmsh", "meshio", "pyvista", "vtkmodules", "pint"}
-    assert not heavy & set(ast.literal_eval(result.stdout))
+SOLVING = {"scipy", "skfem", "pyamg", "vdm.model"}
+DRAWING = {"pyvista", "vtkmodules", "pyacvd", "matplotlib"}
+PLAN = """\
+import pathlib, tempfile
+import vdmbench.work.run, vdmbench.work.plan, vdmbench.report.page
+from vdmbench.study.config import expand, load_study
+study = load_study(pathlib.Path('studies/cases/quickstart.toml'))
+with tempfile.TemporaryDirectory() as name:
+    where = pathlib.Path(name)
+    plan = vdmbench.work.plan.make_plan(study, expand(study), where, where)
+    assert vdmbench.work.run.summary(plan)"""
 
 
-def test_a_run_that_has_nothing_left_to_do_loads_no_solver_and_starts_no_process(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("code", "others"),
+    [
+        ("import vdmbench.report.page", {"scipy", "vdm", "fem_reference", "gmsh", "vtkmodules"}),
+        ("import vdmbench.body.geometry", DRAWING | {"meshio", "rich"}),
+        (PLAN, SOLVING | {"gmsh", "meshio", "pyvista", "vtkmodules", "pint"}),
+    ],
+    ids=["report", "body", "plan"],
+)
+def test_what_starts_leaves_the_libraries_of_others_alone(code: str, others: set[str]) -> None:
+    """Each costs up to a second; the runner of a study leaves meshing and solving to its workers."""
+    assert not others & _loaded(code)[0]
+
+
+def test_help_loads_nothing_heavy() -> None:
+    modules, told = _loaded_by("--help")
+    assert "verbs" in told
+    heavy = DRAWING | SOLVING | {"numpy", "gmsh", "meshio", "h5py", "pydantic", "distributed"}
+    assert not heavy & modules
+
+
+def test_a_run_that_has_nothing_left_to_do_loads_no_solver(tmp_path: Path) -> None:
     study = write_study(tmp_path)
     assert vdmbench("run", study, "--out", "run", cwd=tmp_path).returncode == 0
-    code = (
-        "import sys, contextlib\n"
-        "from vdmbench.cli.main import main\n"
-        "with contextlib.suppress(SystemExit): main(sys.argv[1:])\n"
-        "print(sorted(sys.modules), file=sys.stderr)\n"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code, "run", str(study), "--out", "run"],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=tmp_path,
-    )
-    modules = ast.literal_eval(result.stderr)
-    assert "1 done, 0 failed" in result.stdout
-    assert not {"scipy", "skfem", "pyamg", "vdm.model", "gmsh", "rich"} & set(modules)
+    modules, told = _loaded_by("run", str(study), "--out", "run", directory=tmp_path)
+    assert "1 done, 0 failed" in told
+    assert not (SOLVING | {"gmsh", "rich"}) & modules
 
 
-def test_check_loads_no_results_and_where_nothing_is_judged_no_solver_and_a_mesher_once(
-    tmp_path: Path,
-) -> None:
-    study = write_study(tmp_path, a=('reference = "fem-linear"\n', ""))
-    code = (
-        "import sys, contextlib\n"
-        "from vdmbench.cli.main import main\n"
-        "with contextlib.suppress(SystemExit): main(['check', 'small.toml'])\n"
-        "print(sorted(sys.modules), file=sys.stderr)\n"
-    )
+def test_check_loads_no_results_and_a_mesher_once(tmp_path: Path) -> None:
+    write_study(tmp_path, a=('reference = "fem-linear"\n', ""))
     for known in (False, True):
-        ended = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=study.parent
-        )
-        modules = set(ast.literal_eval(ended.stderr))
-        assert ended.stdout == "small.toml: ok, 1 case\n"
-        assert not modules & {
-            "scipy",
-            "h5py",
-            "pint",
-            "vdmbench.store.cases",
-            "vdmbench.measures.case",
-            "vdmbench.cli.verb_run",
-        }
+        modules, told = _loaded_by("check", "small.toml", directory=tmp_path)
+        assert told == "small.toml: ok, 1 case\n"
+        assert not {"scipy", "h5py", "pint", "vdmbench.store.cases", "vdmbench.measures.case"} & modules
         assert ("gmsh" in modules) is not known
 
 
-def test_making_a_solid_starts_no_renderer() -> None:
-    code = "import sys, vdmbench.body.geometry; print(sorted({name.split('.')[0] for name in sys.modules}))"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"pyvista", "vtkmodules", "pyacvd", "matplotlib", "meshio", "rich"} & set(
-        ast.literal_eval(result.stdout)
+# --- what is written twice for a reason, held together ---
+
+
+def fields(cls: type) -> dict[str, object]:
+    return {field.name: field.type for field in dataclasses.fields(cls)}
+
+
+def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
+    ours = fields(Solution).keys() - {"point_fields"}  # which a study asks no model for
+    assert ours <= fields(ModelResult).keys()
+
+
+def test_a_registered_model_declares_what_its_library_says() -> None:
+    """Without loading it: a plan has to be quick."""
+    body = SurfaceMesh(*icosphere(1))
+    surface = {name: model for name, model in models.all_models().items() if not model.volumetric}
+    rules = {name.removeprefix("vdm-"): model.by_rule for name, model in surface.items()}
+    assert rules == {name: tuple(Parameters.from_tissue(1.0, body, name).moduli()) for name in rules}
+    assert {name.removeprefix("vdm-") for name, m in surface.items() if not m.fibres} == set(
+        vdm.material.ISOTROPIC
     )
+    assert models.find("mass-spring")[0].most_nodes == vdm.peers.mass_spring.MAX_NODES
+
+
+def test_make_installs_the_libraries_that_an_error_names() -> None:
+    """`make` looks for them before there is a Python environment to ask."""
+    makefile = (ROOT / "Makefile").read_text()
+    assert tuple(re.findall(r'"lib[^"]+\.so\.\d+": "([^"]+)"', makefile)) == SHARED_LIBRARIES
+
+
+def test_what_is_required_is_pinned() -> None:
+    pinned = set(
+        re.findall(r"^([A-Za-z0-9_.-]+)==", (ROOT / "constraints.txt").read_text(), flags=re.MULTILINE)
+    )
+    normal = {name.lower().replace("_", "-") for name in pinned}
+    wanted = re.findall(r'^ +"([A-Za-z0-9-]+)>=', (ROOT / "pyproject.toml").read_text(), flags=re.MULTILINE)
+    assert len(wanted) > 15
+    assert {name.lower() for name in wanted} <= normal
