@@ -12,8 +12,7 @@ import numpy as np
 
 from solver_common.solution import CONVERGED, Solution, Status
 from vdmbench.models import Model, SetUp, register
-from vdmbench.scene.as_mjcf import FORCE_UNIT, TAKES, mjcf
-from vdmbench.scene.handout import Handout, cannot_express
+from vdmbench.scene.export import FORCE_UNIT, TAKES, Handout, cannot_express, scene_text
 
 MOST_STEPS = 300
 STILL = 1e-6  # change in a step over the largest displacement
@@ -29,7 +28,7 @@ def prepare(scene, solver, name, n_loads):  # noqa: ARG001
     if why := cannot_express(body, TAKES):
         raise ValueError(f"{name}: {why}")
     mujoco.set_mju_user_warning(lambda text: print(text, file=sys.stderr))  # else into a file here
-    model = mujoco.MjModel.from_xml_string(mjcf(body, loaded=False))
+    model = mujoco.MjModel.from_xml_string(scene_text(body, "scene_mujoco.xml", with_loads=False))
     seconds = time.perf_counter() - start
 
     def solve(loads):

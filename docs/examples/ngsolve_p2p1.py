@@ -14,7 +14,7 @@ from fem_reference.mesh import TetMesh
 from solver_common.solution import CONVERGED, Solution, Status
 from vdmbench.models import Model, SetUp, register
 from vdmbench.models.elements import fem_loads
-from vdmbench.scene.handout import Handout
+from vdmbench.scene.export import Handout
 
 TOLERANCE = 1e-9  # of the residual, over the forces of load and support
 MOST_ITERATIONS, MOST_TRIALS = 12, 40

@@ -70,8 +70,7 @@ def _export_scene(options: argparse.Namespace, out: Path) -> int:
 
     from ..body.mesh_cache import mesh_from_cache
     from ..measures.metrics import full_load_step
-    from ..scene.export import write_scene
-    from ..scene.handout import Handout
+    from ..scene.export import Handout, write_scene
     from ..scene.scene import build_scene
 
     study, _ = load(options)

@@ -21,8 +21,7 @@ from vdmbench.cli import verb_export
 from vdmbench.cli.arguments import parse
 from vdmbench.cli.output import UsageError
 from vdmbench.machine.files import whole_directory
-from vdmbench.scene.export import write_scene
-from vdmbench.scene.handout import Handout
+from vdmbench.scene.export import Handout, write_scene
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study

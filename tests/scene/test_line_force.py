@@ -17,8 +17,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
 from vdmbench.measures.reference import level_scene
-from vdmbench.scene.export import SCENES, write_scene
-from vdmbench.scene.handout import Handout
+from vdmbench.scene.export import SCENES, Handout, write_scene
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.study.config import geometry_of
