@@ -17,7 +17,7 @@ from solver_common.arrays import Array
 from ..body.mesh import Mesh
 from ..body.read_apart import point_fields_of
 from ..study.errors import InputError, MeshError
-from ..study.measured_file import AXES, DEFORMED, DISPLACEMENT, CsvTable, MeasuredFileError, read_csv
+from ..study.measured import AXES, DEFORMED, DISPLACEMENT, CsvTable, MeasuredFileError, read_csv
 
 NAMES = (
     "displacement",

@@ -21,8 +21,8 @@ from ..body.nearest import nearest_on_surface
 from ..scene.coordinates import measured_on
 from ..scene.measured_points import Placed, place_measured
 from ..study.checks import pushing
-from ..study.measured_file import AXES
-from ..study.schema import Measured, Study, same_load
+from ..study.measured import AXES, Measured, same_load
+from ..study.schema import Study
 from .input_spread import Propagation
 from .metrics import full_load_step
 from .pushed import Answer, Pushed

@@ -12,7 +12,7 @@ from solver_common.arrays import Array, Mask
 
 from ..measures.case import CaseResult
 from ..measures.measurement import FORCE, Measurement, Quantity
-from ..study.measured_file import AXES
+from ..study.measured import AXES
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, plain, quantity, scale_of, short_percent
 from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
-from ..study.measured_file import AXES
+from ..study.measured import AXES
 from ..verdict.digest import Digest
 from .scene_picture import KINDS, Stage
 from .section_scene import parts_of

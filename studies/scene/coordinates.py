@@ -11,7 +11,8 @@ from solver_common.arrays import Array
 
 from ..body.mesh import Mesh
 from ..study.kinds import Vector3
-from ..study.schema import HalfSpace, Measured, Region, Study
+from ..study.measured import Measured
+from ..study.schema import HalfSpace, Region, Study
 
 AXES = {"x": 0, "y": 1, "z": 2}
 

@@ -10,7 +10,8 @@ from solver_common.arrays import Array, Index
 
 from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
-from ..study.schema import Measured, MeasuredPoint, Study
+from ..study.measured import Measured, MeasuredPoint
+from ..study.schema import Study
 from .coordinates import measured_on
 from .scene import SceneError
 

@@ -15,6 +15,7 @@ from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_tw
 from .fields import field_at, keys_of, table_at
 from .kinds import Table, given, safe_name
 from .loads import KINDS
+from .measured import Measured, same_load
 from .registry import BROKEN, DISPLACEMENT_ELEMENTS, RENAMED, find, is_surface, model_names, reads, split
 from .schema import (
     LAW_KEYS,
@@ -24,10 +25,8 @@ from .schema import (
     Box,
     Constraint,
     Geometry,
-    Measured,
     Region,
     Study,
-    same_load,
 )
 from .shapes import (
     DISTORTIONS,

@@ -20,7 +20,7 @@ from vdmbench.report.section_measurement import against_measurement
 from vdmbench.scene.measured_points import place_measured
 from vdmbench.scene.scene import SceneError
 from vdmbench.study.config import Study, StudyError, expand, load_study, resolved
-from vdmbench.study.measured_file import MeasuredFileError, read_measured
+from vdmbench.study.measured import MeasuredFileError, read_measured
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import verdicts
 from vdmbench.verdict.words import MEASURED, ON_TERMINAL, SURE
