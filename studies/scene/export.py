@@ -216,7 +216,7 @@ def tables(body: Handout) -> dict[str, str]:
     return {
         "scene.json": scene_json(body),
         "supports.csv": _csv(body, body.held, "displacement", "m", body.displacement),
-        "forces.csv": _csv(body, body.force.any(axis=1), "force", "N", body.force),
+        "forces.csv": _csv(body, np.any(body.force, axis=1), "force", "N", body.force),
     }
 
 
