@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ..machine.stored_json import LARGEST
 from ..measures.case import CaseResult
 from ..measures.measurement import FORCE, Measurement
 from ..scene.result import ModelResult
+from .shapes import LARGEST
 
 
 def check_case(case: CaseResult) -> None:
@@ -47,7 +47,7 @@ def _faults(case: CaseResult) -> Iterator[str]:
             yield f"the metrics of {name} do not fit its steps"
     if case.measurement is not None:
         yield from _measurement_faults(case.measurement, n_steps, len(facets))
-    if any(map(_is_too_large, _numbers(case))):
+    if _are_too_large(np.concatenate([values.ravel() for values in _numbers(case)])):
         yield f"a number beyond {LARGEST:g}"
 
 
@@ -103,6 +103,7 @@ def _numbers(case: CaseResult) -> Iterator[NDArray[np.float64]]:
         yield from (series.values for series in metrics.values())
 
 
-def _is_too_large(values: NDArray[np.float64]) -> bool:
+def _are_too_large(values: NDArray[np.float64]) -> bool:
     """Whether a finite number is; NaN and infinity stand for what there is not."""
-    return bool((np.abs(values[np.isfinite(values)]) > LARGEST).any())
+    size = np.abs(values)
+    return bool(((size > LARGEST) & (size < np.inf)).any())

@@ -21,7 +21,6 @@ from pydantic import ValidationError
 from solver_common.solution import Status
 
 from ..machine.files import json_text, write_atomically
-from ..machine.stored_json import CaseShape, parsed
 from ..measures import uncertainty
 from ..measures.bars import value_bar
 from ..measures.case import (
@@ -60,6 +59,7 @@ from .run_directory import (
     read_study,
     read_times,
 )
+from .shapes import CaseShape, MetricShape, ModelShape, Shape, one_line, parsed
 
 SCHEMA = 4
 MOVED = "surface_distance"
@@ -127,17 +127,10 @@ def read_case(path: Path, expected: str | None = None) -> CaseResult:
                 raise ValueError("it holds another case")
             return _read_case(file)
         except UNREADABLE as error:
+            why = one_line(error) if isinstance(error, ValidationError) else error
             raise StoreError(
-                f"{path}: not readable as a case file ({_why(error)}); delete it and run again"
+                f"{path}: not readable as a case file ({why}); delete it and run again"
             ) from error
-
-
-def _why(error: Exception) -> str:
-    """One line; pydantic's own have several."""
-    if not isinstance(error, ValidationError):
-        return str(error)
-    first = error.errors(include_url=False)[0]
-    return f"{'.'.join(map(str, first['loc']))[:200]}: {first['msg']}"
 
 
 def write_study(directory: Path, run: Run) -> None:
@@ -357,8 +350,8 @@ def _read_case(file: Stored) -> CaseResult:
             for name in file.members("VTKHDF/PointData")
             if name.startswith("region.")
         },
-        models={name: _read_model(file, name, model, per_step) for name, model in about["models"].items()},
-        metrics={name: _read_metrics(file, f"metrics/{name}", about["metrics"]) for name in about["models"]},
+        models={name: _read_model(file, name, model, per_step) for name, model in about.models.items()},
+        metrics={name: _read_metrics(file, f"metrics/{name}", about.metrics) for name in about.models},
         small_strain=_read_limits(file) if "limits" in file else None,
         measurement=read_measurement(file) if "measurement" in file else None,
         inputs=read_inputs(file) if "inputs" in file else None,
@@ -368,9 +361,10 @@ def _read_case(file: Stored) -> CaseResult:
     return case
 
 
-def _told(about: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """These entries of a text, with NaN where a number is null (an older program wrote NaN itself)."""
-    return {name: _or_nan(about[name]) if name in _NUMBERS else about[name] for name in names}
+def _told(about: Shape, names: Sequence[str]) -> dict[str, Any]:
+    """These entries of a text, with NaN where a number is null."""
+    found = {name: getattr(about, name) for name in names}
+    return {name: _or_nan(value) if name in _NUMBERS else value for name, value in found.items()}
 
 
 def _or_nan(value: Any) -> Any:
@@ -380,7 +374,7 @@ def _or_nan(value: Any) -> Any:
 
 
 def _read_model(
-    file: Stored, name: str, about: Mapping[str, Any], per_step: Callable[[str], NDArray[np.float64]]
+    file: Stored, name: str, about: ModelShape, per_step: Callable[[str], NDArray[np.float64]]
 ) -> ModelResult:
     steps: dict[str, Any] = dict(file.table(f"models/{name}"))
     return ModelResult(
@@ -388,15 +382,15 @@ def _read_model(
         reaction_force=per_step(f"{name}.reaction_force"),
         **{series: steps.pop(series) for series in _SERIES if series != "iterations"},
         iterations=steps.pop("iterations").astype(np.int64),
-        status=tuple(Status(*row) for row in about["status"]),
+        status=tuple(Status(*row) for row in about.status),
         **_told(about, _ABOUT_MODEL),
         scalars=steps,
     )
 
 
-def _read_metrics(file: Stored, path: str, about: Mapping[str, Any]) -> dict[str, MetricSeries]:
+def _read_metrics(file: Stored, path: str, about: Mapping[str, MetricShape]) -> dict[str, MetricSeries]:
     table = file.table(path) if path in file else {}
-    return {name: MetricSeries(values, **about[name]) for name, values in table.items()}
+    return {name: MetricSeries(values, **_told(about[name], _ABOUT_METRIC)) for name, values in table.items()}
 
 
 # --- a whole study ---

@@ -31,6 +31,7 @@ _CHUNK_BYTES = 1 << 20  # of small arrays nothing needs to be there
 _TEXT = h5t.py_create(string_dtype("utf-8"), logical=True)  # in a file
 _STRING = h5t.py_create(string_dtype("utf-8"))  # in memory
 _SCALAR = h5s.create(h5s.SCALAR)
+_TABLES: dict[bytes, np.dtype[Any]] = {}  # a table's type, as HDF5 writes it -> the same as NumPy's
 _CREATION_ORDER = h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED
 
 
@@ -153,7 +154,7 @@ def _in_memory(image: bytes = b"") -> Any:
 
 
 class Stored:
-    """A sealed file, open for reading, that holds no link and nothing that is stored elsewhere.
+    """A sealed file, open for reading. What is read of it is no link and stored in it: those could lead elsewhere.
 
     A name that it lacks is a KeyError.
     """
@@ -164,11 +165,10 @@ class Stored:
         Raises
         ------
         StoreError
-            damaged, of another schema, or with a link: an external one could read other files of the machine.
+            damaged, or of another schema.
         """
-        self._file = _open(path)
+        self._file, self._objects = _open(path), dict[str, Any]()
         try:
-            self._objects = _objects(self._file)
             found = self._schema()
             if found > schema:
                 raise StoreError(f"schema {found} is newer than this program's {schema}; update vdmbench")
@@ -197,12 +197,35 @@ class Stored:
         self._file.close()
 
     def __contains__(self, path: str) -> bool:
-        return path in self._objects
+        try:
+            self._object(path)
+        except KeyError:
+            return False
+        return True
+
+    def _object(self, path: str) -> Any:
+        """A group or an array. Raises KeyError where there is none, StoreError for a link, followed by nobody."""
+        found = self._objects.get(path)
+        if found is None:
+            group, _, name = path.rpartition("/")
+            owner = self._object(group) if group else self._file
+            if not isinstance(owner, h5g.GroupID):
+                raise KeyError(path)
+            try:
+                kind = owner.links.get_info(name.encode()).type
+            except RuntimeError:
+                raise KeyError(path) from None
+            if kind != h5l.TYPE_HARD:
+                raise StoreError(f"holds a link (/{path}), which a result file never does")
+            found = self._objects[path] = h5o.open(owner, name.encode())
+            if isinstance(found, h5d.DatasetID):
+                _require_inside(found)
+        return found
 
     def members(self, path: str) -> list[str]:
         """Names of what a group holds, in the order in which it was written."""
         names: list[str] = []
-        group = self._objects[path]
+        group = self._object(path)
         if not isinstance(group, h5g.GroupID):
             raise KeyError(path)
         group.links.iterate(lambda name: names.append(name.decode()), idx_type=h5.INDEX_CRT_ORDER)
@@ -219,7 +242,10 @@ class Stored:
     def table(self, path: str) -> dict[str, NDArray[np.float64]]:
         """The columns of a table of numbers by name."""
         stored = self._dataset(path).get_type()
-        rows = self._read(path, stored.dtype, stored)
+        kind = _TABLES.get(key := stored.encode())
+        if kind is None:  # which takes HDF5 as long as all else of a file
+            kind = _TABLES[key] = stored.dtype
+        rows = self._read(path, kind, stored)
         return {name: rows[name].astype(np.float64) for name in rows.dtype.names or ()}
 
     def texts(self, path: str) -> Any:
@@ -230,12 +256,12 @@ class Stored:
     def number(self, path: str, name: str) -> float:
         """An attribute that is a number."""
         value = np.empty(())
-        h5a.open(self._objects[path], name.encode()).read(value, mtype=h5t.NATIVE_DOUBLE)
+        h5a.open(self._object(path), name.encode()).read(value, mtype=h5t.NATIVE_DOUBLE)
         return float(value)
 
     def text(self, path: str, name: str, default: str | None = None) -> str:
         """An attribute that is a text."""
-        owner = self._objects[path]
+        owner = self._object(path)
         if default is not None and not h5a.exists(owner, name.encode()):
             return default
         value = np.empty((), dtype=object)
@@ -249,7 +275,7 @@ class Stored:
         return values
 
     def _dataset(self, path: str) -> Any:
-        found = self._objects[path]
+        found = self._object(path)
         if not isinstance(found, h5d.DatasetID):
             raise KeyError(path)
         return found
@@ -278,30 +304,13 @@ def _open(path: Path) -> Any:
         raise StoreError(f"{path}: not an HDF5 file ({error}); delete it and run again") from error
 
 
-def _objects(file: Any) -> dict[str, Any]:
-    """Everything in a file by its path. Raises StoreError for a link, followed by nobody, and for outside data."""
-    names: list[bytes] = []
-
-    def see(name: bytes, link: Any) -> bytes | None:
-        names.append(name)
-        return None if link.type == h5l.TYPE_HARD else name
-
-    linked = file.links.visit(see, info=True)
-    if linked is not None:
-        raise StoreError(f"holds a link (/{linked.decode(errors='replace')}), which a result file never does")
-    objects = {name.decode(errors="replace"): h5o.open(file, name) for name in names}
-    whole = sum(_declared(item) for item in objects.values() if isinstance(item, h5d.DatasetID))
-    if whole > MAX_BYTES:
-        raise StoreError(f"says that it holds {whole} bytes, more than a result file can have")
-    return objects
-
-
-def _declared(dataset: Any) -> int:
-    """Bytes that an array takes in memory. Raises StoreError where the file does not hold them."""
+def _require_inside(dataset: Any) -> None:
+    """Raises StoreError for an array that is stored outside the file, or is not there in the size that it says."""
+    if dataset.get_offset() is not None:  # in one piece, in the file: HDF5 has looked whether it ends there
+        return
     made = dataset.get_create_plist()
     if made.get_external_count() or made.get_layout() == h5d.VIRTUAL:
         raise StoreError("holds an array that is stored outside the file, which a result file never does")
     size = math.prod(map(int, (*dataset.shape, dataset.get_type().get_size())))
-    if size > _MOST_COMPRESSED * dataset.get_storage_size() + _CHUNK_BYTES:
+    if size > min(MAX_BYTES, _MOST_COMPRESSED * dataset.get_storage_size() + _CHUNK_BYTES):
         raise StoreError(f"says that it holds {size} bytes, which are not there; delete it and run again")
-    return size

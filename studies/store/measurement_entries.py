@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from ..machine.files import json_text
-from ..machine.stored_json import MeasurementShape, parsed
 from ..measures.measurement import Measurement, Quantity
 from .hdf5 import Data, Entry, Group, Stored, Text
+from .shapes import MeasurementShape, parsed
 
 _VALUES = ("value", "uncertainty")
 _LENGTHS = (*_VALUES, "distance")
@@ -58,8 +58,8 @@ def read_measurement(file: Stored) -> Measurement:
         quantities,
         series["simulated"],
         series["numerical"],
-        about["sources"],
-        tuple(about["others"]),
+        about.sources,
+        tuple(about.others),
         series.get("inputs", {}),
     )
 

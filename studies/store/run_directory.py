@@ -16,10 +16,10 @@ from pydantic import BaseModel, TypeAdapter
 
 from ..machine.files import json_text, write_atomically
 from ..machine.safe_open import UnfitFileError, read_regular
-from ..machine.stored_json import FailureShape, PlanShape, sealed, unsealed
 from ..scene.result import FrameTimes
 from ..study.schema import Study
 from .hdf5 import StoreError
+from .shapes import FailureShape, PlanShape, sealed, unsealed
 
 PLAN, STUDY, RESOLVED, TIMES = "plan.json", "study.toml", "resolved.toml", "times.json"
 CASE_SUFFIX = ".vtkhdf"

@@ -1,4 +1,4 @@
-"""JSON in stored files: sealed against change, bounded in depth and size of numbers, of a known shape.
+"""JSON in stored files: sealed against change, of a known shape.
 
 The seal tells damage and edits. It is no signature: who makes a file can seal it, so what is read is checked too.
 """
@@ -8,18 +8,18 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from .files import json_text
+from ..machine.files import json_text
 
-DEEPEST = 100  # lists and tables inside each other
 LARGEST = 1e100  # of a stored number; its third power is still finite
 SEAL = "seal"
 
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{1,64}$")]  # names a file
-Number = float | None  # null where a number is not finite
+Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Number = Finite | None  # null where a number is not finite
 
 
 class Shape(BaseModel):
@@ -28,12 +28,15 @@ class Shape(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
+S = TypeVar("S", bound=Shape)
+
+
 class PlannedShape(Shape):
     """A case of plan.json."""
 
     hash: Hash
     label: str
-    swept: dict[str, float | str]
+    swept: dict[str, Finite | str]
     swept_units: dict[str, str]
     mesh: str = ""
 
@@ -95,7 +98,7 @@ class ModelShape(Shape):
     """A model of a case."""
 
     status: list[Annotated[list[str], Field(min_length=1, max_length=3)]]
-    parameters: dict[str, float | str | None]
+    parameters: dict[str, Finite | str | None]
     seconds_setup: Number
     peak_bytes: int
     version: str
@@ -122,7 +125,7 @@ class CaseShape(Shape):
 
     label: str
     reference: str | None
-    swept: dict[str, float | str]
+    swept: dict[str, Finite | str]
     swept_units: dict[str, str]
     provenance: dict[str, str]
     reference_error: dict[str, Number]
@@ -131,44 +134,25 @@ class CaseShape(Shape):
     metrics: dict[str, MetricShape]
 
 
-def parsed(text: str | bytes, shape: type[Shape]) -> dict[str, Any]:
+def parsed(text: str | bytes, shape: type[S]) -> S:
     """JSON of this shape.
 
     Raises
     ------
     ValueError
-        no JSON, nested too deeply, a number that is too large, or of another shape; one line says where.
+        no JSON, a number that is too large, or of another shape; one line says where.
     """
     try:
-        value = json.loads(text)
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
-    _check_bounds(value)
-    try:
-        shape.model_validate(value)
+        return shape.model_validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))[:200]
-        raise ValueError(f"{place!r}: {first['msg']}" if place else first["msg"]) from None
-    found: dict[str, Any] = value
-    return found
+        raise ValueError(one_line(error)) from None
 
 
-def _check_bounds(value: Any) -> None:
-    """Raises ValueError for what is nested too deeply, and for a number beyond `LARGEST`."""
-    level, depth = [value], 0
-    while level:
-        if depth > DEEPEST:
-            raise ValueError("nested too deeply")
-        inside: list[Any] = []
-        for item in level:
-            if isinstance(item, dict):
-                inside += item.values()
-            elif isinstance(item, list):
-                inside += item
-            elif isinstance(item, int | float) and abs(item) > LARGEST:
-                raise ValueError(f"a number beyond {LARGEST:g}")
-        level, depth = inside, depth + 1
+def one_line(error: ValidationError) -> str:
+    """The first thing that is wrong, and where."""
+    first = error.errors(include_url=False)[0]
+    place = ".".join(map(str, first["loc"]))[:200]
+    return f"{place!r}: {first['msg']}" if place else str(first["msg"])
 
 
 def sealed(value: Mapping[str, Any], name: str) -> bytes:
@@ -179,7 +163,8 @@ def sealed(value: Mapping[str, Any], name: str) -> bytes:
 
 def unsealed(text: bytes, name: str, shape: type[Shape]) -> dict[str, Any]:
     """What `sealed` wrote as `name`. Raises ValueError as `parsed`, and where the seal is not that of the text."""
-    value = parsed(text, shape)
+    parsed(text, shape)
+    value: dict[str, Any] = json.loads(text)
     if value.pop(SEAL, None) != _seal(value, name):
         raise ValueError("its seal does not match: it was changed, or an older version wrote it")
     return value
