@@ -33,8 +33,8 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
     form, surface = problem.formulation, problem.formulation.surface
     n = surface.n_nodes
     modulus = form.parameters.tissue_modulus
-    if modulus is None or form.parameters.ground is not None:
-        return np.nan  # the known bendings are those of a body that is held or free
+    if modulus is None or form.parameters.ground is not None or form.parameters.lumps is not None:
+        return np.nan  # the known bendings are those of one tissue that is held or free
     exact, forces = bendings(form.resolved, form.parameters.poisson_ratio)
     error = size = 0.0
     areas = surface.nodal_areas[:, None]

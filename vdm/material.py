@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Index
 from vdm.surface import SurfaceMesh
 
 Rotation = Literal["none", "global"]
@@ -50,6 +50,60 @@ class ParameterError(ValueError):
 
 
 @dataclass(frozen=True)
+class Lumps:
+    """Regions 1 to m inside a body of N surface nodes, each of its own material; region 0 is the body around them.
+
+    A lump may have lumps inside; it touches neither the surface nor its neighbours.
+
+    Attributes
+    ----------
+    points : (k, 3) nodes inside [m]; node N + j is number j of them
+    facets : (I, 3) between two regions, of the N + k nodes
+    sides : (I, 2) regions that a facet is between; its normal points from the first to the second
+    shear_moduli : (m,) [Pa]
+    poisson_ratios : (m,), up to 1/2
+    """
+
+    points: Array
+    facets: Index
+    sides: Index
+    shear_moduli: Array
+    poisson_ratios: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.shear_moduli)
+        if not (self.shear_moduli > 0.0).all() or len(self.poisson_ratios) != count:
+            raise ParameterError("each lump needs a positive shear modulus and a Poisson's ratio")
+        if not ((self.poisson_ratios > -1.0) & (self.poisson_ratios <= 0.5)).all():
+            raise ParameterError("the Poisson's ratios of lumps must be above -1 and at most 1/2")
+        if len(np.unique(np.sort(self.sides, axis=1), axis=0)) != count:
+            raise ParameterError("lumps touch each other; leave some of the body between them")
+
+    def halved(self, points: Array) -> Lumps:
+        """The same with each facet in four, by nodes at the middles of edges; `points` (N, 3) are the surface's.
+
+        Where an edge has both ends on the surface, as they are.
+        """
+        n, places = len(points), np.vstack([points, self.points])
+        edges = np.sort(self.facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        edges, number = np.unique(edges, axis=0, return_inverse=True)
+        if (edges < n).all(axis=1).any():
+            return self
+        (a, b, c), (ab, bc, ca) = self.facets.T, (len(places) + number.reshape(-1, 3)).T
+        facets = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
+        new = np.vstack([self.points, places[edges].mean(axis=1)])
+        return replace(self, points=new, facets=facets, sides=np.repeat(self.sides, 4, axis=0))
+
+    def bounds(self, facets: Index) -> list[Index]:
+        """Facets (F, 3) of each region's boundary inside the body, outward, in the numbers of these (I, 3)."""
+        first, second = self.sides.T
+        return [
+            np.vstack([facets[first == k], facets[second == k][:, ::-1]])
+            for k in range(len(self.shear_moduli) + 1)
+        ]
+
+
+@dataclass(frozen=True)
 class Parameters:
     """Material parameters, SI units; each formulation reads its own and asks for the ones it lacks.
 
@@ -65,6 +119,7 @@ class Parameters:
         (sparse)
     parts : how many the nonlinear solver cuts the body into; None: as many as its rotations need (boundary, sparse)
     poisson_ratio : of what is inside, above -1 and at most 1/2: the fluid that keeps the volume (boundary, sparse)
+    lumps : regions inside of a material of their own (boundary, linear solvers)
     rotation : which rotation is free of tension: none, or one for the body (vector)
     ground : (3N, 3N) force of springs between the surface and a rigid ground over the displacement of the nodes
         [N/m], sparse and symmetric (vector, boundary, mass-spring)
@@ -83,6 +138,7 @@ class Parameters:
     coarse_nodes: int | None = None
     parts: int | None = None
     poisson_ratio: float = 0.5
+    lumps: Lumps | None = None
     rotation: Rotation = "global"
     ground: sparse.csr_array | None = None
     tension_stiffening: float = 0.0

@@ -140,6 +140,8 @@ class Model:
                 f"the {solver} solver needs a fluid that keeps the volume, not a Poisson's ratio of"
                 f' {parameters.poisson_ratio:g}; take compressibility = "fluid" or the linear solver'
             )
+        if parameters.lumps is not None and (formulation != "bem" or at_large):
+            raise ParameterError("lumps inside need the bem formulation and a linear solver")
         if parameters.tension_stiffening and (formulation, solver) != ("paper", "nonlinear"):
             raise ParameterError("tension_stiffening needs the paper formulation and the nonlinear solver")
         n_nodes = self.surface.n_nodes

@@ -19,7 +19,7 @@ from .surface_measures import enclosed_volume, facet_areas
 _MOST_TOLD = 3  # holes, or pieces
 _LARGEST = 1e100  # coordinate
 # Faces of a positive tetrahedron, turned so that their normals point out of it.
-_OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 # Inverse of the edge matrix of the regular tetrahedron with unit edges (rows: edges from vertex 0).
 _REGULAR_INVERSE = np.linalg.inv(
@@ -62,7 +62,7 @@ def boundary_triangles(tetrahedra: Index) -> Index:
 
     Raises MeshError where a face belongs to more than two tetrahedra.
     """
-    faces = tetrahedra[:, _OUTWARD_FACES].reshape(-1, 3)
+    faces = tetrahedra[:, OUTWARD_FACES].reshape(-1, 3)
     _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     shared = int(np.count_nonzero(counts > 2))
     if shared:

@@ -13,6 +13,7 @@ from solver_common.arrays import Array
 from vdm.solvers import FIGURE_8, SOLVERS
 
 from ..body.surface_measures import facet_area_vectors
+from ..scene.inclusions import interfaces
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import Family, split, takes_fluid
 from .model import Model as Registered
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
     from vdm.formulations.base import Formulation
     from vdm.incremental import IncrementalModel
-    from vdm.material import Parameters
+    from vdm.material import Lumps, Parameters
     from vdm.model import Model
     from vdm.solution import Solution
     from vdm.surface import SurfaceMesh
@@ -135,6 +136,8 @@ def _model(scene: Scene, name: str, springs: sparse.csr_array | None) -> Model |
             # a T of the study is the mean over the edges of one that grows from the support
             grown = chosen["surface_tension"] * (rule.surface_tension / rule.surface_tension.mean())
             whole = dataclasses.replace(whole, surface_tension=grown)
+        if scene.inclusions:
+            whole = dataclasses.replace(whole, lumps=_lumps(scene, own_ratio))
         if fibres is not None:
             whole = whole.anisotropic(surface, fibres.fibre_direction, fibres.contrast)
         return whole if springs is None else _on_springs(whole, springs, surface, formulation)
@@ -154,6 +157,26 @@ def _model(scene: Scene, name: str, springs: sparse.csr_array | None) -> Model |
     if solver == INCREMENTAL:
         return IncrementalModel(mesh.surface_points, mesh.triangles, parameters, **options)
     return Model(mesh.surface_points, mesh.triangles, parameters, solver=solver, **options)
+
+
+def _lumps(scene: Scene, own_ratio: bool) -> Lumps:
+    """The inclusions as regions between facets of their tetrahedra; in a fluid each keeps its volume."""
+    from vdm.material import Lumps
+
+    mesh, tissue = scene.mesh, scene.tissue
+    facets, sides, owners = interfaces(mesh, scene.inclusions)
+    declared = [scene.inclusions[k].declared if k >= 0 else tissue for k in owners]
+    young = np.array([part.youngs_modulus for part in declared])
+    ratio = np.array(
+        [tissue.poisson_ratio if part.poisson_ratio is None else part.poisson_ratio for part in declared]
+    )
+    if not own_ratio:
+        ratio[:] = 0.5
+    n = len(mesh.surface_nodes)
+    inside = np.setdiff1d(facets, mesh.surface_nodes)
+    number = np.empty(len(mesh.points), np.int64)
+    number[mesh.surface_nodes], number[inside] = np.arange(n), n + np.arange(len(inside))
+    return Lumps(mesh.points[inside], number[facets], sides, young / (2.0 * (1.0 + ratio)), ratio)
 
 
 def _on_springs(
@@ -181,7 +204,8 @@ _surface = partial(
     tissue=("youngs_modulus",),
     one_over_modulus=True,
 )
-SPRINGS, FULL, DEAD = "normal springs", "full springs", "dead forces"  # of `vdmbench.study.registry.EXTRAS`
+# of `vdmbench.study.registry.EXTRAS`
+SPRINGS, FULL, DEAD, INCLUSIONS = "normal springs", "full springs", "dead forces", "inclusions"
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
 _OF_SOLVERS = ("tolerance", "stop", "volume_row")
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", *_OF_SOLVERS)
@@ -226,7 +250,7 @@ for _registered in (
         name="bem",
         family=Family.PEERS,
         benched=("nonlinear",),
-        takes=dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
+        takes={**dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")), INCLUSIONS: ("linear",)},
         version="22",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),

@@ -10,6 +10,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from ..body.mesh import Mesh
+from ..body.topology import OUTWARD_FACES, pieces
 from ..study.schema import Inclusion, Study, Tissue
 from .coordinates import origin, shifted
 from .placed import SceneError
@@ -76,6 +77,54 @@ def moduli(tissue: Tissue, inclusions: Sequence[PlacedInclusion]) -> tuple[Array
             ratio[inclusion.inside] = inclusion.declared.poisson_ratio
         part[inclusion.inside] = k
     return young, ratio if np.ptp(ratio) else tissue.poisson_ratio, part
+
+
+def interfaces(mesh: Mesh, inclusions: Sequence[PlacedInclusion]) -> tuple[Index, Index, Index]:
+    """What lies between the inclusions and around them: facets (I, 3), regions on both sides (I, 2), owners (m,).
+
+    The facets are of the points of the mesh, and their normals point from the first region to the second. Region 0
+    is the tissue at the surface; each further one is a connected piece of an inclusion, or of the tissue inside
+    one, and owners say of which number in the list, -1 for the tissue.
+
+    Raises
+    ------
+    SceneError
+        an inclusion at the surface of the body, or one that touches another and does not surround it.
+    """
+    label = np.full(len(mesh.tetrahedra), -1)
+    for k, part in enumerate(inclusions):
+        label[part.inside] = k
+    faces = mesh.tetrahedra[:, OUTWARD_FACES].reshape(-1, 3)
+    _, number = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True)
+    order = np.argsort(number.ravel(), kind="stable")
+    paired = np.flatnonzero(np.diff(number.ravel()[order]) == 0)
+    first, second = order[paired], order[paired + 1]
+    one, other = first // 4, second // 4
+    alike = label[one] == label[other]
+    lowest = pieces(len(label), one[alike], other[alike])
+    at_surface = np.ones(len(faces), bool)
+    at_surface[[*first, *second]] = False
+    outside = np.unique(lowest[np.flatnonzero(at_surface) // 4])
+    for piece in outside[label[outside] >= 0]:
+        raise SceneError(
+            f"inclusion {inclusions[label[piece]].declared.name!r} reaches the surface of the body, which a model "
+            "of surfaces has no answer for; move it inside, take a smaller mesh_size, or use finite elements",
+            ("inclusions", int(label[piece])),
+        )
+    if len(outside) > 1:
+        raise SceneError("the inclusions cut the body in two; use finite elements")
+    regions = np.concatenate([outside, np.setdiff1d(np.unique(lowest), outside)])
+    region = np.empty(len(label), np.int64)
+    region[regions] = np.arange(len(regions))
+    region = region[lowest]
+    sides = np.stack([region[one], region[other]], axis=1)[~alike]
+    if len(np.unique(np.sort(sides, axis=1), axis=0)) != len(regions) - 1:
+        raise SceneError(
+            "inclusions touch each other, which a model of surfaces has no answer for; leave room between them, or "
+            "use finite elements",
+            ("inclusions",),
+        )
+    return faces[first[~alike]], sides, label[regions[1:]]
 
 
 def _moved(inclusion: Inclusion, by: tuple[float, ...]) -> Inclusion:

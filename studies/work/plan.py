@@ -288,5 +288,9 @@ def _varied(case: ResolvedCase, mesh_key: str) -> tuple[tuple[PlannedCase, ...],
 
 
 def needs_volume(study: Study) -> bool:
-    """Whether any model of a study needs tetrahedra."""
-    return any(models.find(name)[0].volumetric for name in study.study.models)
+    """Whether any model of a study needs tetrahedra, which inclusions are made of too."""
+    found = {name: models.find(name)[0] for name in study.study.models}
+    knowing = study.inclusions and {
+        name for name, model in found.items() if "inclusions" in model.takes
+    }.difference(study.study.homogeneous)
+    return bool(knowing) or any(model.volumetric for model in found.values())

@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg, sparse
 from scipy.linalg import blas, lapack
+from scipy.sparse.csgraph import connected_components
 
 from solver_common.arrays import Array, Index
 from vdm.boundary.kernels import (
@@ -247,13 +248,24 @@ def surface_stiffness(
 
 
 def _stiffen(single: Array, facets: Facets) -> None:
-    """Let V grow by a a^T, with a about the pressure that V does not see: S then sees a change of volume."""
-    pressure = np.zeros((facets.n_tractions, 3))
-    np.add.at(pressure, facets.numbers, facets.areas[:, None] * facets.normals)
-    pressure *= np.sqrt(np.trace(single) / pressure.size) / np.linalg.norm(pressure)
-    pushes = pressure.reshape(-1).astype(single.dtype)
+    """Let V grow by a a^T for each closed surface, with a about the pressure on it, which V does not see.
+
+    S then sees a change of volume. What is pressed on one surface inside another moves nothing around it: of those
+    S sees nothing.
+    """
+    triangles = facets.triangles
+    ends = triangles[:, :2].ravel(), triangles[:, 1:].ravel()
+    links = sparse.coo_array((np.ones(len(ends[0])), ends), shape=(len(facets.points),) * 2)
+    piece = connected_components(links, directed=False)[1]
     ger = blas.get_blas_funcs("ger", (single,))
-    ger(1.0, pushes, pushes, a=single.T, overwrite_a=1)
+    pieces = piece[triangles[:, 0]]
+    for one in np.unique(pieces):
+        pressure = np.zeros((facets.n_tractions, 3))
+        on = pieces == one
+        np.add.at(pressure, facets.numbers[on], (facets.areas[:, None] * facets.normals)[on])
+        pressure *= np.sqrt(np.trace(single) / pressure.size) / np.linalg.norm(pressure)
+        pushes = pressure.reshape(-1).astype(single.dtype)
+        ger(1.0, pushes, pushes, a=single.T, overwrite_a=1)
 
 
 def _gathered(facets: Facets, values: Array) -> sparse.csr_array:

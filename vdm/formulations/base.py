@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar, Protocol, Self, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from scipy import sparse
@@ -73,7 +73,12 @@ class Formulation(ABC):
         self.parameters = parameters
 
     @classmethod
-    def supported(cls, surface: SurfaceMesh, parameters: Parameters, held: Mask) -> Self:  # noqa: ARG003
+    def supported(
+        cls,
+        surface: SurfaceMesh,
+        parameters: Parameters,
+        held: Mask,  # noqa: ARG003
+    ) -> Formulation:
         """The form of a body that is held at some nodes (N,); most forms do not depend on these."""
         return cls(surface, parameters)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Self
-
 import numpy as np
 from scipy import linalg, sparse
 from scipy.linalg import blas, lapack
@@ -93,7 +91,11 @@ class BoundaryFormulation(DisplacementFormulation):
             self.corner = np.ones((1, 1))
 
     @classmethod
-    def supported(cls, surface: SurfaceMesh, parameters: Parameters, held: Mask) -> Self:
+    def supported(cls, surface: SurfaceMesh, parameters: Parameters, held: Mask) -> BoundaryFormulation:
+        if parameters.lumps is not None:
+            from vdm.parts.lumps import LumpyFormulation
+
+            return LumpyFormulation(surface, parameters, held)
         return cls(surface, parameters, held)
 
     @classmethod

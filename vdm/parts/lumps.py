@@ -1,0 +1,195 @@
+"""A body with lumps: regions of their own modulus inside, each a body of boundary elements, joined at their nodes.
+
+The stiffnesses S_r of all regions, each on the closed boundary of its own, add up to A. What is left on the surface
+o when the nodes i inside follow is, with `X = A_ii^-1 - A_ii^-1 G (G^T A_ii^-1 G)^-1 G^T A_ii^-1`,
+
+`S = A_oo - A_oi X A_io`,
+
+G the area vectors of the regions that keep their volume, the one at the surface apart: its pressure is the body's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy import linalg
+
+from solver_common.arrays import Array, Index, Mask
+from vdm.boundary.refinement import take_over
+from vdm.boundary.rims import Rims
+from vdm.material import INCOMPRESSIBLE
+from vdm.peers.bem import MAX_NODES, BoundaryFormulation, too_large
+from vdm.solution import SolverError
+
+# of the surface's nodes: lumps of fewer have their facets halved, for an error below the surface's own
+HALVED = 0.25
+
+
+@dataclass(frozen=True)
+class _Inside:
+    """What the nodes inside leave on the n others.
+
+    Attributes
+    ----------
+    coupling : (3n, 3k) A_oi
+    factor : of A_ii, as `scipy.linalg.cho_factor` gives it
+    pressed : (3k, m) A_ii^-1 G
+    schur : (m, m) G^T A_ii^-1 G
+    """
+
+    coupling: Array
+    factor: tuple[Array, bool]
+    pressed: Array
+    schur: Array
+
+    @classmethod
+    def of(cls, matrix: Array, n: int, pressures: Array) -> tuple[Array, _Inside]:
+        """S (3n, 3n) of A (3(n + k), 3(n + k)) and G (3k, m), and what leaves it so."""
+        own, coupling = matrix[3 * n :, 3 * n :], matrix[: 3 * n, 3 * n :].copy()
+        factor = linalg.cho_factor(own, lower=True, check_finite=False)
+        pressed = np.asarray(linalg.cho_solve(factor, pressures))
+        inside = cls(coupling, factor, pressed, pressures.T @ pressed)
+        left = matrix[: 3 * n, : 3 * n] - coupling @ inside.solve(coupling.T)
+        return 0.5 * (left + left.T), inside
+
+    def solve(self, force: Array) -> Array:
+        """X f, (3k, m)."""
+        moved = np.asarray(linalg.cho_solve(self.factor, force))
+        if not self.schur.size:
+            return moved
+        return moved - self.pressed @ np.linalg.solve(self.schur, self.pressed.T @ force)
+
+    def carried(self, force: Array) -> Array:
+        """(3n, m) of forces (3(n + k), m)."""
+        n = len(self.coupling)
+        return np.asarray(force[:n] - self.coupling @ self.solve(force[n:]))
+
+
+@dataclass
+class _Regions:
+    """Sums over the regions as they are made: nodes are those of the surface, its rims and the inside."""
+
+    points: Array
+    dtype: type[np.floating[Any]]
+    matrix: Array = field(init=False)
+    weight: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        size = 3 * len(self.points)
+        self.matrix, self.weight = np.zeros((size, size)), np.zeros((size, 4))
+
+    def add(
+        self, triangles: Index, modulus: float, ratio: float, numbers: Index | None, arms: Array
+    ) -> Array:
+        """Add a region of closed boundary (F, 3), outward; (n, 3) its area vectors.
+
+        `weight` gets the forces of the pressures x, y, z of `arms` (n, 3) and 1, as
+        `BoundaryFormulation.pressure_force` has them.
+        """
+        from vdm.boundary.operators import Facets, surface_stiffness
+
+        nodes, local = np.unique(triangles, return_inverse=True)
+        facets = Facets.of(self.points[nodes], local.reshape(-1, 3), numbers)
+        stiffness = modulus * surface_stiffness(facets, ratio, self.dtype)
+        rigid = _rigid(facets.points)
+        take_over(stiffness, rigid, np.zeros_like(rigid))
+        dofs = _dofs(nodes)
+        self.matrix[np.ix_(dofs, dofs)] += stiffness
+        vectors = np.zeros((len(self.points), 3))
+        thirds = np.repeat(facets.areas[:, None] * facets.normals / 3.0, 3, axis=0)
+        np.add.at(vectors, triangles.ravel(), thirds)
+        pressures = np.column_stack([arms, np.ones(len(arms))])
+        push = (vectors[:, :, None] * pressures[:, None, :])[nodes].reshape(-1, 4)
+        if ratio < 0.5:
+            x = arms[nodes]
+            swollen = x[:, :, None] * np.column_stack([x, np.ones(len(x))])[:, None, :]
+            swollen[:, :, :3] -= 0.5 * np.square(x).sum(axis=1)[:, None, None] * np.eye(3)
+            bulk = 2.0 * modulus * (1.0 + ratio) / (3.0 * (1.0 - 2.0 * ratio))
+            push = push - stiffness @ swollen.reshape(-1, 4) / (3.0 * bulk)
+        self.weight[dofs] += push
+        return vectors
+
+
+class LumpyFormulation(BoundaryFormulation):
+    """A `BoundaryFormulation` of a body with lumps (`Parameters.lumps`), whose inner nodes are eliminated.
+
+    Where the body keeps its volume and a lump does not, the body has Poisson's ratio `INCOMPRESSIBLE` instead.
+
+    Raises
+    ------
+    SolverError
+        more than `MAX_NODES` nodes, those inside counted.
+    """
+
+    _weight: Array
+
+    def _assemble(self, held: Mask) -> None:
+        from vdm.boundary.operators import precision
+        from vdm.boundary.tractions import shared
+
+        surface, lumps = self.surface, self.parameters.lumps
+        assert lumps is not None
+        if len(lumps.points) < HALVED * surface.n_nodes:
+            lumps = lumps.halved(surface.points)
+        total = surface.n_nodes + len(lumps.points)
+        if total > MAX_NODES:
+            raise SolverError(too_large(total))
+        ratios = np.where(lumps.poisson_ratios > INCOMPRESSIBLE, 0.5, lumps.poisson_ratios)
+        if self.poisson_ratio == 0.5 and ratios.min() < 0.5:
+            self.poisson_ratio = INCOMPRESSIBLE
+        self._rims = Rims.of(surface, held)
+        cut = self._rims.surface
+        n = cut.n_nodes
+        sums = _Regions(np.vstack([cut.points, lumps.points]), precision(surface.n_nodes))
+        arms = sums.points - surface.points.mean(axis=0)
+
+        # nodes inside follow those of the rims
+        bounds = lumps.bounds(np.where(lumps.facets < surface.n_nodes, 0, n - surface.n_nodes) + lumps.facets)
+        numbers = np.arange(len(cut.triangles))
+        if sums.dtype is np.float32:
+            near = np.concatenate([held, np.zeros(n - len(held), np.bool_)])
+            numbers = shared(cut, near)
+        numbers = np.concatenate([numbers, numbers.max() + 1 + np.arange(len(bounds[0]))])
+        whole = np.vstack([cut.triangles, bounds[0]])
+        sums.add(whole, self.shear_modulus, self.poisson_ratio, numbers, arms)
+        pressures = []
+        for facets, modulus, ratio in zip(bounds[1:], lumps.shear_moduli, ratios, strict=True):
+            vectors = sums.add(facets, modulus, ratio, None, arms)
+            if ratio == 0.5:
+                pressures.append(vectors[n:].reshape(-1))
+        columns = np.array(pressures).reshape(-1, 3 * len(lumps.points)).T
+        left, inside = _Inside.of(sums.matrix, n, columns)
+        self.matrix = self._rims.condensed(left)
+        self._weight = self._rims.carried(inside.carried(sums.weight).reshape(-1, 3, 4))
+
+    def record(self) -> dict[str, float | str]:
+        assert self.parameters.lumps is not None
+        return {**super().record(), "lumps": float(len(self.parameters.lumps.shear_moduli))}
+
+    def pressure_force(self, pressure: Array) -> Array:
+        """As in `BoundaryFormulation`; each region has a compressibility of its own."""
+        arms = self.surface.points - self.surface.points.mean(axis=0)
+        fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
+        return np.asarray(self._weight @ fitted)
+
+
+def _ratio(ratio: float) -> float:
+    return 0.5 if ratio > INCOMPRESSIBLE else ratio
+
+
+def _rigid(points: Array) -> Array:
+    """(3n, 6) orthonormal rigid motions of points (n, 3)."""
+    arms = points - points.mean(axis=0)
+    arms /= np.abs(arms).max()
+    motions = np.concatenate(
+        [np.tile(np.eye(3), (len(arms), 1, 1)), np.cross(np.eye(3), arms[:, None]).transpose(0, 2, 1)], axis=2
+    )
+    return np.asarray(np.linalg.qr(motions.reshape(-1, 6))[0])
+
+
+def _dofs(nodes: Index) -> Index:
+    """(3n,) unknowns of nodes."""
+    dofs: Index = (3 * nodes[:, None] + np.arange(3)).reshape(-1)
+    return dofs
