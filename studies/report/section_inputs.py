@@ -85,7 +85,11 @@ def _table(digest: Digest, case: CaseResult, spread: InputSpread, name: str, cap
         Field("All inputs", lambda model: spread.models[model].deformation, "1", "of the change of shape"),
         Field("Its error", error, "1", "against the reference"),
     ]
-    return frame_table(list(spread.models), fields, name, caption=caption, mark=digest.mark)
+    return frame_table(_told(digest, spread), fields, name, caption=caption, mark=digest.mark)
+
+
+def _told(digest: Digest, spread: InputSpread) -> list[str]:
+    return [name for name in spread.models if name not in digest.twins]
 
 
 def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
@@ -100,7 +104,7 @@ def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
             for which, word in INDICES.items()
         ),
     ]
-    return frame_table(list(spread.models), fields, name, mark=digest.mark)
+    return frame_table(_told(digest, spread), fields, name, mark=digest.mark)
 
 
 SECTIONS_FIRST = (inputs,)

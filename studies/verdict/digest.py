@@ -35,6 +35,7 @@ SAME_NUMBERS = 1e-6  # of the displacement: less is rounding between two ways to
 ALONG_NORMALS = 1e-9  # of its motion that a model of the normal component has in the surface
 NORMAL, CONTACT, HAUSDORFF = "relative_l2_normal_error", "contact_region_error", "hausdorff_distance"
 DRIFT = "volume_drift"
+SPARSE, WHOLE = "bem-sparse", "bem"
 # what stands beside a time
 EARLIER, ELSEWHERE, ONCE = "earlier run", "another machine", "one answer"
 
@@ -192,8 +193,21 @@ class Digest:
         """All models by family, the reference last; in one as the study orders them."""
         asked = [str(name) for name in self.run.study.study.models]
         names = dict.fromkeys([*asked, *(name for case in self.cases for name in case.models)])
-        order = list(Family)
-        return tuple(sorted(names, key=lambda name: (name == self.reference, order.index(family_of(name)))))
+        told, order = (name for name in names if name not in self.twins), list(Family)
+        return tuple(sorted(told, key=lambda name: (name == self.reference, order.index(family_of(name)))))
+
+    @cached_property
+    def twins(self) -> dict[str, str]:
+        """Model -> the one that it is in every case, and is left out for: bem-sparse is bem on few nodes."""
+        found = {}
+        for name in {name for case in self.cases for name in case.models if split(name)[0] == SPARSE}:
+            twin = name.replace(SPARSE, WHOLE)
+            cases = [case for case in self.cases if name in case.models]
+            if name != self.reference and all(
+                twin in case.models and _is_whole(case, name) for case in cases
+            ):
+                found[name] = twin
+        return found
 
     @cached_property
     def reference(self) -> str | None:
@@ -454,6 +468,11 @@ class Digest:
     def has_steps(self) -> bool:
         """Whether any case has a load history."""
         return any(len(case.load_factors) > 1 for case in self.cases)
+
+
+def _is_whole(case: CaseResult, name: str) -> bool:
+    """Whether the coarse body of a model has every node of the surface."""
+    return float(case.models[name].parameters.get("coarse_nodes", 0.0)) >= len(case.points)
 
 
 def _median_known(parts: Sequence[Array]) -> float:

@@ -265,6 +265,7 @@ class Verdicts(Mapping[str, Verdict]):
     outside : cases out of the reference's range, which no word counts
     take : what to take for each kind of interaction
     map : the words over two swept parameters, None where others are swept
+    twins : model -> the one that it is in every case, under whose name alone it is told
     reservations, doubts : what models and reference say against the answers; what speaks against the scene
     small_strain : whether the reference is a linear one
     errors, costs : of every model that is compared, and of every model
@@ -284,6 +285,7 @@ class Verdicts(Mapping[str, Verdict]):
     outside: tuple[Outside, ...] = ()
     take: tuple[Advice, ...] = ()
     map: Map | None = None
+    twins: dict[str, str] = field(default_factory=dict)
     reservations: tuple[Reservation, ...] = ()
     doubts: tuple[Doubt, ...] = ()
     small_strain: bool = False
@@ -357,6 +359,7 @@ def _verdicts(digest: Digest) -> Verdicts:
         outside=() if nothing else digest.outside,
         take=by_interaction(inside) if chosen else (),
         map=_map(digest, found) if chosen else None,
+        twins=digest.twins,
         reservations=tuple(_reservations(digest, chosen)),
         doubts=tuple(_doubts(digest)),
         small_strain=bool(reference) and split(reference)[0] not in FINITE_STRAIN,

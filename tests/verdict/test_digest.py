@@ -16,6 +16,8 @@ from vdmbench.measures.bars import at_full_load, reference_bar, value_bar
 from vdmbench.measures.case import MetricSeries
 from vdmbench.store.metrics_table import metrics_csv
 from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
+from vdmbench.verdict.verdict import verdicts
+from vdmbench.verdict.words import told
 
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
 
@@ -205,3 +207,19 @@ def test_points_of_cases_that_share_a_value_are_not_joined() -> None:
     assert single.get_linestyle() == "None", "a line through all cases would show what nobody measured"
     assert_allclose(medians.get_ydata(), [5.0, 5.0], rtol=RTOL, atol=ATOL)
     assert medians.get_linestyle() != "None"
+
+
+def test_bem_sparse_with_every_node_is_bem_and_is_told_once() -> None:
+    """On few nodes its coarse body is the surface itself; on more nodes in any case it is a model of its own."""
+    for coarse, twins in (((42.0, 42.0), {"bem-sparse": "bem"}), ((42.0, 30.0), {})):
+        cases = []
+        for k, count in enumerate(coarse):
+            case = make_case({"bem": 0.05, "bem-sparse": 0.05}, label=str(k), subdivisions=1)
+            sparse = dataclasses.replace(case.models["bem-sparse"], parameters={"coarse_nodes": count})
+            cases.append(dataclasses.replace(case, models={**case.models, "bem-sparse": sparse}))
+        found = verdicts(Digest(make_run(cases)))
+        assert found.twins == twins
+        assert found["surface-peers"].models == (("bem",) if twins else ("bem", "bem-sparse"))
+        assert any(note.startswith("bem-sparse is bem here") for note in told(found).notes) == bool(twins)
+        legend = [name for _, name, _ in Digest(make_run(cases)).legend]
+        assert ("bem-sparse" in legend) == (not twins)
