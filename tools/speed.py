@@ -109,7 +109,6 @@ def histories(sizes: Sizes) -> Iterator[Row]:
         ("paper", "bicg-cold", "BiCG as printed, cold"),
         ("paper", "quasi-linear", "quasi-linear step"),
         ("vector", "quasi-linear", "quasi-linear step"),
-        ("consistent", "nonlinear", "warm nonlinear step"),
         ("vector", "nonlinear", "warm nonlinear step"),
     ):
         model = set_up(ball(sizes.levels), formulation, solver)
@@ -127,7 +126,7 @@ def histories(sizes: Sizes) -> Iterator[Row]:
 
 def rows_of(sizes: Sizes) -> Iterator[Row]:
     """All lines of the table."""
-    forms = ("paper", "consistent", "vector")
+    forms = ("paper", "vector")
     for formulation in forms:
         yield from one_body(formulation, ball(sizes.levels), sizes, sizes.repeats)
     yield from histories(sizes)
