@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import os
+import re
+import stat
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NoReturn
+from pathlib import Path
+from typing import Any, NoReturn
 
 from ..machine.streams import harmless
+from .output import UsageError
 
 VERBS = (  # in the order in which they are told
     "new",
@@ -67,6 +72,166 @@ def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
         told = getattr(verb, "MORE", verb.SUMMARY)
         sub = verbs.add_parser(name, help=verb.SUMMARY, description=told)
         sub.add_argument("--json", action="store_true", help="print JSON")
-        sub.set_defaults(verb=verb.run, goes_on=False, solves=True)
-        verb.arguments(sub)
+        for words, how in verb.ARGUMENTS:
+            sub.add_argument(*words, **how)
+        sub.set_defaults(
+            verb=verb.run, goes_on=getattr(verb, "GOES_ON", False), solves=getattr(verb, "SOLVES", True)
+        )
     return parser
+
+
+# --- what arguments may be, each told where it is not ---
+
+
+_LEAST_MEMORY = 50_000_000
+
+
+def run_directory(text: str) -> Path:
+    """A directory with a plan, or one that has lost it, which is not the command's fault."""
+    path = Path(text)
+    if not any(map(os.path.exists, (path / "plan.json", path / "cases"))):
+        raise argparse.ArgumentTypeError(f"{text}: not a run directory (it has no plan.json)")
+    return path
+
+
+def given_run_directory(text: str) -> Path:
+    """The same of a word that may also be a study. Raises UsageError."""
+    try:
+        return run_directory(text)
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(str(error)) from None
+
+
+def directory(text: str) -> Path:
+    """A directory to write into; "" would be the one that one stands in."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("name a directory, or leave the option out")
+    return Path(text)
+
+
+def output_file(text: str) -> Path:
+    """A file to write: a new one, or one that is there under its own name."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("name a file, or leave the option out")
+    path = Path(text)
+    try:
+        found = os.lstat(path)
+    except (OSError, ValueError):  # which writing tells, or reading
+        return path
+    if not stat.S_ISREG(found.st_mode):
+        raise argparse.ArgumentTypeError(f"{text}: is no regular file; name one, not a link to it")
+    return path
+
+
+def change(text: str) -> str:
+    """KEY=VALUE that is TOML, or becomes so where VALUE is quoted."""
+    from ..study.files import OverrideError, changes_of
+
+    try:
+        changes_of(text)
+    except OverrideError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
+
+
+def positive(text: str) -> int:
+    """A whole number of 1 or more."""
+    if re.fullmatch(r"[0-9]{1,6}", text) is None or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number of 1 or more, not {text!r}")
+    return int(text)
+
+
+def positive_seconds(text: str) -> float:
+    """A number of seconds."""
+    if re.fullmatch(r"[0-9]{0,9}(\.[0-9]*)?", text) is None or not float(f"0{text}") > 0:
+        raise argparse.ArgumentTypeError(f"must be a number of seconds of more than 0, not {text!r}")
+    return float(text)
+
+
+def size_in_bytes(text: str) -> int:
+    """A size such as 4GB in bytes."""
+    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) ?(kB|MB|GB|TB)", text)
+    if found is None or float(found[1]) == 0:
+        raise argparse.ArgumentTypeError("write a size such as 500MB or 4GB")
+    size = int(float(found[1]) * 1000 ** (1 + ["kB", "MB", "GB", "TB"].index(found[2])))
+    if size < _LEAST_MEMORY:
+        raise argparse.ArgumentTypeError(
+            f"must be {_LEAST_MEMORY // 1_000_000}MB or more: a worker takes as much before it solves anything"
+        )
+    return size
+
+
+def shard(text: str) -> tuple[int, int]:
+    """I/N."""
+    first, slash, second = text.partition("/")
+    if slash and first.isdecimal() and second.isdecimal() and 1 <= int(first) <= int(second):
+        return int(first), int(second)
+    raise argparse.ArgumentTypeError("write I/N with 1 <= I <= N, such as 2/8")
+
+
+# --- the arguments that several verbs share ---
+
+
+Option = tuple[tuple[str, ...], dict[str, Any]]  # as `add_argument` takes them
+
+
+def option(*words: str, **how: Any) -> Option:
+    """An argument of a verb."""
+    return words, how
+
+
+def flag(word: str, told: str) -> Option:
+    """One that is there or not."""
+    return option(word, action="store_true", help=told)
+
+
+def study_argument(use: str = "", count: str | None = None) -> Option:
+    """The study of a verb."""
+    told = f"path of a study file, or a shipped study's name{use}"
+    return option("study", metavar="STUDY", nargs=count, help=told)
+
+
+STUDY_READS = (
+    option(
+        "--surface",
+        type=Path,
+        metavar="FILE",
+        help="use this surface (STL, OBJ, PLY, VTP) as the geometry; names the study NAME-FILE",
+    ),
+    flag("--allow-outside", "allow files outside the study file's directory"),
+    option(
+        "--cache",
+        type=directory,
+        metavar="DIR",
+        help="where meshes and answers are kept (default VDMBENCH_CACHE, else results/cache)",
+    ),
+)
+CHANGES = option(
+    "--set",
+    dest="changes",
+    type=change,
+    action="append",
+    default=[],
+    metavar="KEY=VALUE",
+    help="change a value, such as tissue.youngs_modulus='3 kPa' or constraints.finger.force='1 N'; repeatable",
+)
+CASE = option("--case", type=positive, default=1, metavar="N", help="of a sweep the N-th case (default 1)")
+RUNS = (
+    option(
+        "--out",
+        type=directory,
+        metavar="DIR",
+        help="run directory (default results/runs/NAME; another --surface of the same file name needs its own)",
+    ),
+    option(
+        "--jobs",
+        type=positive,
+        metavar="N",
+        help="cases at once (default: as many as processors that this process may use)",
+    ),
+)
+PLANS = (study_argument(), *STUDY_READS, CHANGES, *RUNS, flag("--fresh", "run every case again"))
+RUN = option("directory", type=run_directory, metavar="DIR", help="run directory")
+BASELINE = option(
+    "--baseline", type=output_file, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
+)

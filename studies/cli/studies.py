@@ -40,6 +40,13 @@ def study_text(options: argparse.Namespace) -> str:
     return text
 
 
+def baseline_of(options: argparse.Namespace, study: str) -> Path:
+    """The file of --baseline, or that of the study."""
+    from ..gate import baseline_path
+
+    return options.baseline or baseline_path(results_directory(), study)
+
+
 def make_plan(
     study: Study,
     options: argparse.Namespace,

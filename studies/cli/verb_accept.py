@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 
-from .argument_kinds import baseline_arguments, baseline_of
+from .arguments import BASELINE, RUN, option
 from .output import OK, count, print_json
+from .studies import baseline_of
 
 SUMMARY = "make a run's accuracy the baseline"
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    baseline_arguments(parser)
-    parser.add_argument("--reason", required=True, metavar="TEXT", help="why these numbers are right")
+ARGUMENTS = (
+    RUN,
+    BASELINE,
+    option("--reason", required=True, metavar="TEXT", help="why these numbers are right"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

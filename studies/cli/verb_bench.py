@@ -6,18 +6,19 @@ import argparse
 from pathlib import Path
 
 from ..machine.places import cache_directory, results_directory
-from .argument_kinds import directory, study_arguments
+from .arguments import STUDY_READS, directory, option, study_argument
 from .output import OK, UsageError, print_json, print_table, tell
 from .studies import load, make_plan
 
 SUMMARY = "measure run time against error for every model, in about five minutes a body"
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    use = ": its body and its models, in place of every model on a sphere, an organ and the --surface given"
-    study_arguments(parser, "?", use)
-    parser.add_argument("--out", type=directory, metavar="DIR", help="directory (default results/bench)")
+ARGUMENTS = (
+    study_argument(
+        ": its body and its models, in place of every model on a sphere, an organ and the --surface given",
+        "?",
+    ),
+    *STUDY_READS,
+    option("--out", type=directory, metavar="DIR", help="directory (default results/bench)"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .argument_kinds import run_arguments, study_arguments
+from .arguments import RUNS, STUDY_READS, flag, option, study_argument
 from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_table, tell
 from .studies import command_of, load, make_plan, only_case, require_own, run_missing
 
@@ -19,25 +19,20 @@ MORE = (
     "Fit VDM parameters on half of a study's loads, try them on the rest. With --measured: fit Young's modulus of "
     "each model on the first load that was measured, and try it on the others."
 )
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    study_arguments(parser)
-    parser.set_defaults(goes_on=True)
-    run_arguments(parser)
-    parser.add_argument(
+GOES_ON = True
+ARGUMENTS = (
+    study_argument(),
+    *STUDY_READS,
+    *RUNS,
+    option(
         "--transfer",
         action="append",
         default=[],
         metavar="STUDY",
         help="try the fit on the held-out loads of this study too (can be repeated)",
-    )
-    parser.add_argument(
-        "--measured",
-        action="store_true",
-        help="fit Young's modulus to the study's [[measured]] tables instead",
-    )
+    ),
+    flag("--measured", "fit Young's modulus to the study's [[measured]] tables instead"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .argument_kinds import change_argument, study_arguments
+from .arguments import CHANGES, STUDY_READS, study_argument
 from .output import OK, USAGE, count, print_json
 from .studies import check_files, load, make_plan
 
@@ -14,12 +14,7 @@ MORE = (
     "not in the cache is meshed and kept there, which takes a second or two, unless it has more than 20,000 nodes. "
     "What cannot run ends with exit code 2; what is a matter of judgement is a warning."
 )
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    study_arguments(parser)
-    change_argument(parser)
+ARGUMENTS = (study_argument(), *STUDY_READS, CHANGES)
 
 
 def run(options: argparse.Namespace) -> int:

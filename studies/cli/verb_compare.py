@@ -6,11 +6,23 @@ import argparse
 import math
 import os
 from pathlib import Path
+from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
 
 from ..machine.streams import harmless
-from .argument_kinds import file_arguments, given_run_directory, run_arguments
-from .output import FAILED, OK, WIDTH, UsageError, complain_of_failures, print_json, print_run, tell
+from .arguments import RUNS, STUDY_READS, given_run_directory, option
+from .output import (
+    FAILED,
+    OK,
+    WIDTH,
+    UsageError,
+    complain_of_failures,
+    folded,
+    print_json,
+    print_run,
+    print_table,
+    tell,
+)
 from .studies import load, make_plan, only_case, require_own, run_missing
 
 if TYPE_CHECKING:
@@ -26,7 +38,7 @@ MORE = (
     "Put runs side by side, each held against the first. With --result FILE: judge what another program computed "
     "for STUDY, at its largest load, like a model of it."
 )
-MOST = 26  # runs, each a letter
+MOST = len(ascii_uppercase)  # runs, each a letter
 HEADLINE = {  # shown whether it has changed or not; of the others what has
     "relative_l2_displacement_error": "displacement error",
     "relative_l2_deformation_error": "error in change of shape",
@@ -35,29 +47,24 @@ HEADLINE = {  # shown whether it has changed or not; of the others what has
 }
 _MARKS = {"worse": "worse", "newly failing": "fails", "not comparable": "?", "missing": "gone"}
 _MARKS |= {"better": "better", "newly passing": "passes", "new": "new"}
-_NAME, _RUN = 24, 18  # letters of a model, and of a run's column
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    parser.add_argument(
+ARGUMENTS = (
+    option(
         "directories",
         metavar="DIR",
         nargs="+",
         help="run directories, two or more; the first is what the others are held against; with --result a STUDY",
-    )
-    parser.add_argument(
+    ),
+    option(
         "--result",
         type=Path,
         metavar="FILE",
         help="what another program computed: VTU, VTK, or CSV by node or by place; displacements or positions",
-    )
-    parser.add_argument(
-        "--name", metavar="NAME", help="what the program is called (default: the file's name)"
-    )
-    parser.add_argument("--array", metavar="FIELD", help="field of a VTU or VTK file (default: displacement)")
-    run_arguments(parser)
-    file_arguments(parser)
+    ),
+    option("--name", metavar="NAME", help="what the program is called (default: the file's name)"),
+    option("--array", metavar="FIELD", help="field of a VTU or VTK file (default: displacement)"),
+    *RUNS,
+    *STUDY_READS,
+)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -90,8 +97,7 @@ def _side_by_side(options: argparse.Namespace) -> int:
         ]
         told = [[vars(finding) for finding in each] for each in findings]
         return print_json({"runs": list(runs), "rows": rows, "findings": told})
-    for line in _as_text(list(runs), found, findings):
-        print(harmless(line))
+    _print(list(runs), found, findings)
     return OK
 
 
@@ -125,44 +131,35 @@ def _rows(held: Sequence[Baseline], findings: Sequence[Sequence[Finding]]) -> It
             }
 
 
-def _as_text(
+def _print(
     names: Sequence[str], found: Sequence[Mapping[str, Any]], findings: Sequence[Sequence[Finding]]
-) -> Iterator[str]:
-    """Lines of at most 80 letters: a block for each metric, a row for each model, a column for each run.
-
-    The metrics of `HEADLINE` are shown, and others that have changed.
-    """
+) -> None:
+    """A block for each metric of `HEADLINE`, and others that have changed: a row for each model, a column a run."""
     from ..gate import summary
     from ..verdict.formatting import of_unit
 
-    letters = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-    yield from (f"{letter}  {name}"[:WIDTH] for letter, name in zip(letters, names, strict=False))
-    yield "at full load, the worst of all cases; held against A case by case"
-    columns = (WIDTH - _NAME) // _RUN
-    changed = {
-        row["metric"]
-        for row in found
-        if {"worse", "better", "newly failing", "newly passing"} & {*row["outcomes"]}
-    }
-    for metric in dict.fromkeys(row["metric"] for row in found):
-        if metric not in HEADLINE and metric not in changed:
-            continue
-        for start in range(0, len(names), columns):
-            shown = range(start, min(start + columns, len(names)))
-            yield f"\n{HEADLINE.get(metric, metric.replace('_', ' '))}"
-            yield (" " * _NAME + "".join(f"{letters[k]:<{_RUN}}" for k in shown)).rstrip()
-            for row in (row for row in found if row["metric"] == metric):
-                name = row["model"] if len(row["model"]) < _NAME else f"{row['model'][: _NAME - 2]}…"
-                marks = [_MARKS.get(outcome, "") for outcome in row["outcomes"]]
-                cells = (f"{of_unit(row['values'][k], row['unit'])} {marks[k]}" for k in shown)
-                yield (f"{name:<{_NAME}}" + "".join(f"{cell:<{_RUN}}" for cell in cells)).rstrip()
-    yield ""
-    for letter, each in zip(letters[1:], findings, strict=False):
-        yield f"{letter} against A: {summary(each)}"
+    for letter, name in zip(ascii_uppercase, names, strict=False):
+        print(harmless(f"{letter}  {name}"[:WIDTH]))
+    print("at full load, the worst of all cases; held against A case by case")
+    news = {"worse", "better", "newly failing", "newly passing"}
+    changed = {row["metric"] for row in found if news & {*row["outcomes"]}}
+    for metric in dict.fromkeys(row["metric"] for row in found if row["metric"] in {*HEADLINE, *changed}):
+        print(f"\n{HEADLINE.get(metric, metric.replace('_', ' '))}")
+        rows = []
+        for row in (row for row in found if row["metric"] == metric):
+            cells = zip(ascii_uppercase, row["values"], row["outcomes"], strict=False)
+            told = {
+                letter: f"{of_unit(value, row['unit'])} {_MARKS.get(outcome, '')}".rstrip()
+                for letter, value, outcome in cells
+            }
+            rows.append({"model": harmless(row["model"]), **told})
+        print_table(rows)
+    print()
+    for letter, each in zip(ascii_uppercase[1:], findings, strict=False):
+        print(f"{letter} against A: {summary(each)}")
         why = list(dict.fromkeys(finding.why for finding in each if finding.why))
-        yield from (f"   {reason}"[:WIDTH] for reason in why[:3])
-        if len(why) > 3:
-            yield f"   and {len(why) - 3} more; all by --json"
+        for reason in [*why[:3], *([f"and {len(why) - 3} more; all by --json"] if len(why) > 3 else [])]:
+            print(folded(harmless(reason), "   "))
 
 
 def _judge(options: argparse.Namespace) -> int:

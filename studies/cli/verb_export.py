@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..machine.files import whole_directory, write_atomically
 from ..machine.streams import harmless
-from .argument_kinds import directory, given_run_directory, positive, study_arguments
+from .arguments import CASE, STUDY_READS, directory, given_run_directory, option, study_argument
 from .output import OK, UsageError, print_json
 from .studies import load, make_plan, numbered_case
 
@@ -18,17 +18,12 @@ MORE = (
     "that the mesh lies on the scan. Of a study: one case at its largest load, as a mesh with regions (VTU, MSH), "
     "supports and loads (JSON, CSV), and scenes for SOFA, FEBio and MuJoCo, all in metres, newtons and pascals."
 )
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    study_arguments(parser, use=", or a run directory")
-    parser.add_argument(
-        "--to", type=directory, required=True, metavar="OUT", help="a new or an empty directory"
-    )
-    parser.add_argument(
-        "--case", type=positive, default=1, metavar="N", help="of a sweep the N-th case (default 1)"
-    )
+ARGUMENTS = (
+    study_argument(", or a run directory"),
+    *STUDY_READS,
+    option("--to", type=directory, required=True, metavar="OUT", help="a new or an empty directory"),
+    CASE,
+)
 
 
 def run(options: argparse.Namespace) -> int:

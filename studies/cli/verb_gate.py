@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import argparse
 
-from .argument_kinds import baseline_arguments, baseline_of, output_file
+from .arguments import BASELINE, RUN, flag, option, output_file
 from .output import NOTHING_COMPARED, OK, REGRESSED, complain, print_json
+from .studies import baseline_of
 
 SUMMARY = "hold a run's accuracy against its baseline"
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    baseline_arguments(parser)
-    parser.add_argument(
-        "--allow-missing",
-        action="store_true",
-        help="compare what is there; by default what is missing or not comparable is 6",
-    )
-    parser.add_argument("--junit", type=output_file, metavar="FILE", help="write JUnit XML too")
-    parser.add_argument(
-        "--markdown", type=output_file, metavar="FILE", help="write a summary in Markdown too"
-    )
+ARGUMENTS = (
+    RUN,
+    BASELINE,
+    flag("--allow-missing", "compare what is there; by default what is missing or not comparable is 6"),
+    option("--junit", type=output_file, metavar="FILE", help="write JUnit XML too"),
+    option("--markdown", type=output_file, metavar="FILE", help="write a summary in Markdown too"),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -5,15 +5,12 @@ from __future__ import annotations
 import argparse
 
 from ..study.files import shipped_studies
+from .arguments import flag
 from .output import OK, print_json
 
 SUMMARY = "list the shipped studies, or the models"
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    parser.set_defaults(solves=False)
-    parser.add_argument("--models", action="store_true", help="list the models with what a study may set")
+SOLVES = False
+ARGUMENTS = (flag("--models", "list the models with what a study may set"),)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -5,16 +5,12 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 
-from .argument_kinds import plan_arguments
+from .arguments import PLANS
 from .output import OK, count, folded, print_json
 from .studies import check_files, load, make_plan, require_own
 
 SUMMARY = "say what a run would do"
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    plan_arguments(parser)
+ARGUMENTS = PLANS
 
 
 def run(options: argparse.Namespace) -> int:

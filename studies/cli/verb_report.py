@@ -5,27 +5,21 @@ from __future__ import annotations
 import argparse
 
 from ..machine.places import results_directory
-from .argument_kinds import output_file, run_directory
+from .arguments import flag, option, output_file, run_directory
 from .output import OK, UsageError, print_json, print_run, print_table, tell
 
 SUMMARY = "rebuild the report from the stored results"
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    parser.add_argument("directories", type=run_directory, metavar="DIR", nargs="+", help="run directory")
-    parser.add_argument(
-        "--claims", action="store_true", help="put the paper's claims on trial by the results of all DIRs"
-    )
-    parser.add_argument(
-        "--out", type=output_file, metavar="FILE", help="of --claims (default results/claims.html)"
-    )
-    parser.add_argument(
+ARGUMENTS = (
+    option("directories", type=run_directory, metavar="DIR", nargs="+", help="run directory"),
+    flag("--claims", "put the paper's claims on trial by the results of all DIRs"),
+    option("--out", type=output_file, metavar="FILE", help="of --claims (default results/claims.html)"),
+    option(
         "--picture",
         type=output_file,
         metavar="FILE",
         help="write a PNG of reference, model and difference too",
-    )
+    ),
+)
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,11 +11,8 @@ MORE = (
     "Print the JSON schema of study files. Save it, and name it in the first line of a study, #:schema study.json, "
     "for an editor that knows TOML schemas."
 )
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    parser.set_defaults(solves=False)
+SOLVES = False
+ARGUMENTS = ()
 
 
 def run(_: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..machine.streams import harmless
-from .argument_kinds import change_argument, output_file, positive, study_arguments
+from .arguments import CASE, CHANGES, STUDY_READS, flag, option, output_file, study_argument
 from .output import OK, UsageError, print_json
 from .studies import load, make_plan, numbered_case
 
@@ -16,20 +16,19 @@ if TYPE_CHECKING:
     from ..work.plan import Plan, PlannedCase
 
 SUMMARY = "draw body, regions and loads of a study before anything is solved"
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    """Its arguments."""
-    study_arguments(parser)
-    change_argument(parser)
-    parser.add_argument(
+ARGUMENTS = (
+    study_argument(),
+    *STUDY_READS,
+    CHANGES,
+    option(
         "--save",
         type=output_file,
         metavar="PNG",
         help="the picture (default NAME-scene.png in this directory)",
-    )
-    parser.add_argument("--window", action="store_true", help="open it in a window too, to turn it")
-    parser.add_argument("--case", type=positive, default=1, metavar="N", help="of a sweep the N-th case")
+    ),
+    flag("--window", "open it in a window too, to turn it"),
+    CASE,
+)
 
 
 def run(options: argparse.Namespace) -> int:
