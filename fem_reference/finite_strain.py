@@ -37,8 +37,8 @@ from fem_reference.loads import (
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
-from fem_reference.newton import Newton, ScaledLoad, Substep
-from fem_reference.solution import Solution, check_outputs
+from fem_reference.newton import Newton, ScaledLoad, State, Substep
+from fem_reference.solution import Solution, SolverError, check_outputs
 from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
@@ -210,6 +210,45 @@ class FiniteStrainProblem:
                 ScaledLoad(nothing, force / force_unit, given / length)
                 for force, given in zip(forces, prescribed, strict=True)
             ]
+        )
+
+    def sag(self, gravity: ArrayLike, near: Fields | None = None) -> Fields:
+        """The nodal fields under the weight alone.
+
+        Parameters
+        ----------
+        gravity : (3,) [m/s^2]
+        near : those of a body of nearly the same shape, from which it starts
+
+        Raises
+        ------
+        SolverError
+            where the weight is beyond reach; its status is that of the load step.
+        """
+        mesh, length = self.mesh, self.mesh.mean_edge
+        nothing = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
+        load = self._scaled(Load(nothing, np.zeros((len(mesh.surface_nodes), 3)), np.asarray(gravity, float)))
+        stress_unit = self.system.pressure_scale * self.shear_modulus
+        rest, found = self._newton.rest, None
+        if near is not None:
+            found = self._newton.solve(
+                State(near.displacement[0] / length, near.pressure[0] / stress_unit), load, 1.0
+            )
+        if found is None or not found.converged:
+            record = Record(self._newton, self.shear_modulus, 1, frozenset())
+            for found in self._newton.follow(rest.state, rest.load, load):
+                record.add(0, found)
+            record.end()
+            status = record.solution(0.0, {}, {}).status[0]
+            if not status.ok:
+                raise SolverError(status)
+        assert found is not None
+        return Fields(
+            found.state.displacement[None] * length,
+            found.state.pressure[None] * stress_unit,
+            found.reaction[None] * self.shear_modulus * length**2,
+            np.array(found.residuals[-1:]),
+            np.array([len(found.residuals) - 1]),
         )
 
     def fields(self, loads: Sequence[Load]) -> Fields:

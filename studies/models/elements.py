@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -11,16 +12,19 @@ import numpy as np
 
 from fem_reference.costs import superlu_bytes
 from solver_common.arrays import Array, Index
+from solver_common.rest_shape import rest_shape
 
 from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
-from ..study.registry import Family, Size, split
+from ..study.registry import SCANNED, Family, Size, split
 from ..study.schema import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of
 from .model import Model, SetUp, register
+from .scanned import from_scan
 
 if TYPE_CHECKING:
     from fem_reference.finite_strain import FiniteStrainProblem
     from fem_reference.linear import LinearProblem
+    from fem_reference.load_path import LoadPath
     from fem_reference.loads import Load as FemLoad
     from fem_reference.mesh import TetMesh
     from fem_reference.springs import ElasticSupport
@@ -88,10 +92,40 @@ def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
         return SetUp(lambda loads: plain.solve(fem_loads(loads, plain.body.checked), frozenset(_LARGEST)))
     from fem_reference.finite_strain import FiniteStrainProblem
 
+    if SCANNED in scene.extras:
+        return _scanned(scene, n_loads)
     problem = FiniteStrainProblem(**_hyperelastic(scene, n_loads))
+    return SetUp(_at_finite_strain(scene, problem, problem.mesh))
+
+
+def _at_finite_strain(
+    scene: Scene, problem: FiniteStrainProblem, mesh: TetMesh, path: LoadPath | None = None
+) -> Answer:
+    """Loads on a problem, spread over the surface of `mesh`."""
     if scene.indenter:
-        return SetUp(_indented_far(scene, problem))
-    return SetUp(lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST)))
+        return _indented_far(scene, problem, mesh)
+    return lambda loads: problem.solve(fem_loads(loads, mesh), _asked(scene, *_LARGEST), path)
+
+
+def _scanned(scene: Scene, n_loads: int, path: LoadPath | None = None) -> SetUp:
+    """Of a body scanned under its weight: its rest shape first; the loads then start from the scanned one."""
+    from fem_reference.finite_strain import FiniteStrainProblem
+
+    start, given = time.perf_counter(), _hyperelastic(scene, n_loads)
+    problem = FiniteStrainProblem(**given)
+    scanned, near = problem.mesh, None
+
+    def sag(points: Array) -> Array:
+        nonlocal problem, near
+        if points is not scanned.points:
+            problem = FiniteStrainProblem(**given | {"points": points})
+        near = problem.sag(scene.gravity, near)
+        return near.displacement[0][: len(points)]
+
+    _, sagged = rest_shape(scanned.points, sag)
+    seconds = time.perf_counter() - start
+    answer = _at_finite_strain(scene, problem, scanned, path)
+    return SetUp(lambda loads: from_scan(answer(loads), sagged[scene.mesh.surface_nodes], seconds))
 
 
 def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
@@ -100,8 +134,10 @@ def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) ->
     from fem_reference.finite_strain import FiniteStrainProblem
     from fem_reference.load_path import LoadPath
 
-    problem, path = FiniteStrainProblem(**_hyperelastic(scene, n_loads)), LoadPath()
-    return SetUp(lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene, *_LARGEST), path))
+    if SCANNED in scene.extras:
+        return _scanned(scene, n_loads, LoadPath())
+    problem = FiniteStrainProblem(**_hyperelastic(scene, n_loads))
+    return SetUp(_at_finite_strain(scene, problem, problem.mesh, LoadPath()))
 
 
 def _touched(scene: Scene) -> Index:
@@ -126,13 +162,13 @@ def _indented(scene: Scene, problem: LinearProblem) -> Answer:
     return solve
 
 
-def _indented_far(scene: Scene, problem: FiniteStrainProblem) -> Answer:
+def _indented_far(scene: Scene, problem: FiniteStrainProblem, mesh: TetMesh) -> Answer:
     """The same at finite strain, each step from the one before it."""
     placed = scene.indenter
     assert placed is not None
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
-        depths, given = [load.depth for load in loads], fem_loads(loads, problem.mesh)
+        depths, given = [load.depth for load in loads], fem_loads(loads, mesh)
         found = problem.indent(placed.indenter, placed.facets, depths, given, frozenset(_LARGEST))
         return _contact(found.solution, found.force @ placed.indenter.axis, found.contact_area)
 
@@ -293,7 +329,7 @@ for _model in (
         version="5",
         prepare=_finite_strain,
         memory=_finite,
-        takes=_takes(_BOTH, DEAD) | {"law": _ONE, "indenter": _ONE},
+        takes=_takes(_BOTH, DEAD) | {"law": _ONE, "indenter": _ONE, SCANNED: _ONE},
         tissue=("youngs_modulus", "poisson_ratio", "law", *LAW_KEYS),
         solvers=_BOTH,
         superposes=(),

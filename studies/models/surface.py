@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -10,14 +11,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from solver_common.arrays import Array
+from solver_common.rest_shape import rest_shape
+from solver_common.solution import SolverError
 from vdm.solvers import FIGURE_8, SOLVERS
 
 from ..body.surface_measures import facet_area_vectors
 from ..scene.inclusions import interfaces
 from ..scene.scene import Scene, SurfaceLoad
-from ..study.registry import Family, split, takes_fluid
+from ..study.registry import SCANNED, Family, split, takes_fluid
 from .model import Model as Registered
 from .model import SetUp, register
+from .scanned import from_scan
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -32,6 +36,37 @@ if TYPE_CHECKING:
 
 def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
     """The model `name` set up on the scene's body; see `vdmbench.models.model.Prepare`."""
+    if SCANNED not in scene.extras:
+        return _at_rest(scene, name)
+    start, mesh, rest = time.perf_counter(), scene.mesh, scene
+    found = _at_rest(scene, name)
+
+    def sag(points: Array) -> Array:
+        nonlocal rest, found
+        if points is not mesh.surface_points:
+            moved = mesh.points.copy()
+            moved[mesh.surface_nodes] = points
+            rest = dataclasses.replace(scene, mesh=dataclasses.replace(mesh, points=moved))
+            found = _at_rest(rest, name)
+        solution = found.solve([rest.load(0.0)])
+        if not solution.status[0].ok:
+            raise SolverError(solution.status[0])
+        return np.asarray(solution.displacement[0])
+
+    def on_rest(load: SurfaceLoad) -> SurfaceLoad:
+        """The pressures of a load as forces on the rest shape, with which they turn."""
+        own = dataclasses.replace(rest, facet_pressure=load.facet_pressure).load(1.0)
+        return dataclasses.replace(
+            load, contact_pressure=own.contact_pressure, contact_force=own.contact_force
+        )
+
+    _, sagged = rest_shape(mesh.surface_points, sag)
+    seconds = time.perf_counter() - start
+    return SetUp(lambda loads: from_scan(found.solve([on_rest(load) for load in loads]), sagged, seconds))
+
+
+def _at_rest(scene: Scene, name: str) -> SetUp:
+    """The same of a body whose mesh is its rest shape."""
     from vdm.constraints import Load
     from vdm.model import Model
     from vdm.solvers.linear import LinearSolver
@@ -250,7 +285,11 @@ for _registered in (
         name="bem",
         family=Family.PEERS,
         benched=("nonlinear",),
-        takes={**dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")), INCLUSIONS: ("linear",)},
+        takes={
+            **dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
+            INCLUSIONS: ("linear",),
+            SCANNED: ("nonlinear",),
+        },
         version="22",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),

@@ -12,6 +12,7 @@ from solver_common.arrays import Array
 
 from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
+from ..scene.result import REST_DISTANCE
 from ..study.schema import Constraint, Inclusion
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, plural, quantity, scale_of, short_percent
@@ -142,6 +143,24 @@ def _scan_words(cases: Sequence[CaseResult]) -> str:
     return ", ".join([" ".join(told[:2]), *told[2:]])
 
 
+def _scanned_words(cases: Sequence[CaseResult]) -> str:
+    """How far the scanned shapes are from those at rest, as each model found them."""
+    found: dict[str, list[float]] = {}
+    for case in cases:
+        for name, model in case.models.items():
+            if REST_DISTANCE in model.scalars:
+                found.setdefault(name, []).append(1e3 * float(model.scalars[REST_DISTANCE][0]))
+    if not found:
+        return ""
+    told = [
+        f"{min(values):.2g} mm"
+        + (f" to {max(values):.2g} mm" if max(values) > min(values) else "")
+        + f" ({name})"
+        for name, values in found.items()
+    ]
+    return f"scanned under it, where its surface is up to {listed(told)} from its rest shape"
+
+
 def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str, str]]:
     """(what, value) of tissue, body, mesh and constraints, with the ranges over all `cases`."""
     tissue = [f"Young's modulus {_over(cases, 'tissue', 'youngs_modulus', 'Pa')}"]
@@ -153,6 +172,8 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
         tissue.append(f"{_over(cases, 'anisotropy', 'contrast', '1')} times as stiff along its fibres")
     if any(other.study.gravity for other in cases):
         tissue.append(f"with weight, density {_over(cases, 'tissue', 'density', '1')} kg/m³")
+    if told := _scanned_words(cases):
+        tissue.append(told)
     rows = [("Tissue", ", ".join(part for part in tissue if not part.endswith(" ")))]
     for number, entry in enumerate(_inclusions(case)):
         rows.append(("Inclusion", _inclusion_words(number, entry, case, cases)))

@@ -13,6 +13,9 @@ from solver_common.solution import Status
 
 REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
 
+# scalar of a body scanned under its weight: largest distance from its rest shape to the scanned one [m]
+REST_DISTANCE = "rest_distance"
+
 
 @dataclass(frozen=True)
 class FrameTimes:

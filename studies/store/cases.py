@@ -91,7 +91,7 @@ _NUMBERS = ("reference_error", "mesh_quality", "seconds_setup", "parameters")  #
 _ABOUT_METRIC = ("unit", "definition", "version")
 # of a small-strain limit, besides the load itself
 # of further outputs, where they have one
-_OUTPUT_UNITS = {"indenter_force": "N", "contact_area": "m^2"}
+_OUTPUT_UNITS = {"indenter_force": "N", "contact_area": "m^2", "rest_distance": "m"}
 _LIMIT_UNITS = {
     "threshold": "1",
     "bar": "1",

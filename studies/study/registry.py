@@ -68,7 +68,9 @@ EXTRAS = {  # what a study has that not every model takes -> what is said of one
     "inclusions": "knows no inclusions; study.homogeneous lets it answer without them, or leave it out",
     "indenter": "takes no rigid indenter; use another model for it, or give its pressure as a contact",
     "law": "has no such law of large strain; leave out tissue.law, or the model",
+    "scanned shape": "finds no rest shape for gravity.scanned; take fem or bem:nonlinear",
 }
+SCANNED = "scanned shape"
 ENTRY_POINT = "vdmbench.models"
 RENAMED = {"vdm-boundary": "bem", "vdm-sparse": "bem-sparse"}  # model names of earlier versions
 

@@ -54,7 +54,7 @@ from .kinds import (
 )
 from .loads import KINDS, AnyConstraint, keys_of_all
 from .measured import MOST_TABLES, Measured
-from .registry import Parameter, all_models, own_parameters
+from .registry import SCANNED, Parameter, all_models, own_parameters
 from .shapes import LEAST_SLIVERS, MOST_PERTURBATION, SHAPES, shape_names
 
 YoungsModulus = Annotated[
@@ -493,6 +493,11 @@ class Gravity(Table):
     """[gravity]"""
 
     acceleration: Annotated[Vector3, SI("m/s^2", (3,))] = Field(description="acceleration along x, y, z")
+    scanned: bool | None = Field(
+        None,
+        description="whether the geometry was scanned under this weight: the rest shape is found from it, and "
+        "displacements count from the scanned shape",
+    )
 
 
 class Environment(Table):
@@ -701,6 +706,8 @@ def extras_of(study: Study) -> frozenset[str]:
         found.add("law")
     if study.inclusions:
         found.add("inclusions")
+    if study.gravity is not None and study.gravity.scanned and any(study.gravity.acceleration):
+        found.add(SCANNED)
     return frozenset(found)
 
 

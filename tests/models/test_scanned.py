@@ -1,0 +1,102 @@
+"""A body that was scanned under its weight: its rest shape is recovered, and loads start from the scan."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from fem_reference.finite_strain import FiniteStrainProblem
+from solver_common.arrays import Array
+from solver_common.rest_shape import rest_shape
+from solver_common.solution import SolverError
+from vdmbench import models
+from vdmbench.body.geometry import build_mesh
+from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.study.config import geometry_of
+from vdmbench.study.schema import Study
+from vdmbench.work.keys import wanted
+
+WEIGHT = [0.0, 0.0, -9.81]
+STUDY = {
+    "study": {"name": "test", "models": ["fem"]},
+    "geometry": {"shape": "ellipsoid", "semi_axes": [0.06, 0.04, 0.05], "mesh_size": 0.02},
+    "tissue": {"youngs_modulus": 6000.0, "poisson_ratio": 0.49},
+    "gravity": {"acceleration": WEIGHT},
+    "regions": {
+        "base": {"below": {"axis": "z", "fraction": 0.2}},
+        "finger": {"cap": {"direction": [0.3, 0.0, 1.0], "angle": 0.7}},
+    },
+    "constraints": [
+        {"kind": "fixed", "region": "base"},
+        {"kind": "contact", "region": "finger", "pressure": 100.0},
+    ],
+    "load": {"factors": [0.0, 1.0]},
+}
+SCANNED = Study.model_validate(STUDY | {"gravity": {"acceleration": WEIGHT, "scanned": True}})
+
+
+@pytest.fixture(scope="module")
+def at_rest() -> Scene:
+    study = Study.model_validate(STUDY)
+    return build_scene(study, build_mesh(geometry_of(study)))
+
+
+def _scan(at_rest: Scene, points: Array) -> Scene:
+    return build_scene(SCANNED, dataclasses.replace(at_rest.mesh, points=points), at_rest.regions)
+
+
+def _sagged(at_rest: Scene, name: str) -> Array:
+    """All points under the weight; of a surface model those inside stay where they are."""
+    mesh, tissue = at_rest.mesh, at_rest.tissue
+    moved = mesh.points.copy()
+    if name == "fem":
+        problem = FiniteStrainProblem(
+            *(mesh.points, mesh.tetrahedra, mesh.surface_nodes, mesh.triangles),
+            youngs_modulus=tissue.youngs_modulus,
+            poisson_ratio=tissue.poisson_ratio,
+            density=tissue.density,
+            held=at_rest.held,
+        )
+        return moved + problem.sag(WEIGHT).displacement[0][: len(moved)]
+    moved[mesh.surface_nodes] += models.run_model(at_rest, name).displacement[0]
+    return moved
+
+
+@pytest.mark.parametrize("name", ["fem", "bem:nonlinear"])
+def test_a_known_rest_shape_is_recovered_and_loads_start_from_the_scan(at_rest: Scene, name: str) -> None:
+    straight = models.run_model(at_rest, name)
+    result = models.run_model(_scan(at_rest, _sagged(at_rest, name)), name)
+    assert [status.code for status in result.status] == ["converged"] * 2, result.status
+    sag = np.linalg.norm(straight.displacement[0], axis=1).max()
+    assert sag > 0.002
+    assert_allclose(result.scalars["rest_distance"], sag, rtol=1e-3, atol=0)
+    assert_allclose(result.displacement[0], 0.0, rtol=0, atol=1e-8 * sag)
+    pushed = straight.displacement[1] - straight.displacement[0]
+    assert np.abs(pushed).max() > 0.0005
+    assert_allclose(result.displacement[1], pushed, rtol=0, atol=1e-3 * min(sag, np.abs(pushed).max()))
+
+
+@pytest.mark.parametrize(
+    "name", ["fem-linear", "fem:plain", "bem", "bem-sparse:nonlinear", "vdm-vector:nonlinear"]
+)
+def test_what_finds_no_rest_shape_says_so_by_name(at_rest: Scene, name: str) -> None:
+    (status, _) = models.run_model(_scan(at_rest, at_rest.mesh.points), name).status
+    assert status.code == "refused"
+    assert status.message.startswith(f"{name} finds no rest shape for gravity.scanned")
+
+
+def test_a_scan_has_keys_of_its_own() -> None:
+    keys = [wanted(study, "mesh")[0].body for study in (SCANNED, Study.model_validate(STUDY))]
+    assert keys[0] != keys[1]
+
+
+def test_a_body_without_a_rest_shape_is_an_error() -> None:
+    measured = np.random.default_rng(0).normal(size=(9, 3))
+    rest, sag = rest_shape(measured, lambda x: 0.3 * x)
+    assert_allclose(rest, measured / 1.3, rtol=1e-5, atol=1e-5)
+    assert_allclose(rest + sag, measured, rtol=1e-5, atol=1e-5)
+    with pytest.raises(SolverError, match="stiffer tissue"):
+        rest_shape(measured, lambda x: np.sin(50.0 * x))
