@@ -17,10 +17,6 @@ if TYPE_CHECKING:
 
     S = TypeVar("S", FemSolution, VdmSolution)
 
-REST_DISTANCE = (
-    "rest_distance"  # further output: the largest distance between the rest shape and the scanned one
-)
-
 
 def from_scan(solution: S, sag: Array, seconds: float) -> S:
     """A solution from the rest shape as one from the scanned shape, which is (N, 3) `sag` [m] off it.
