@@ -18,8 +18,8 @@ from solver_common.arrays import Array, Index, Mask
 
 from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
-from ..scene.coordinates import measured_on
 from ..scene.measured_points import Placed, place_measured
+from ..scene.regions import measured_on
 from ..study.checks import pushing
 from ..study.measured import AXES, Measured, same_load
 from ..study.schema import Study

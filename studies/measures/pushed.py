@@ -12,8 +12,7 @@ from solver_common.arrays import Array, Index, Mask
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import Surface, facet_area_vectors
-from ..scene.coordinates import in_mesh_coordinates
-from ..scene.regions import select
+from ..scene.regions import in_mesh_coordinates, select
 from ..scene.result import ModelResult
 from ..study.schema import Constraint, Study
 

@@ -12,9 +12,8 @@ from solver_common.arrays import Array
 
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface, deformations, enclosed_volumes, weighted_norm
-from ..scene.coordinates import in_mesh_coordinates
 from ..scene.inclusions import place_inclusions
-from ..scene.regions import select
+from ..scene.regions import in_mesh_coordinates, select
 from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.errors import InputError

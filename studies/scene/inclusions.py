@@ -12,8 +12,8 @@ from solver_common.arrays import Array, Index, Mask
 from ..body.mesh import Mesh
 from ..body.topology import OUTWARD_FACES, pieces
 from ..study.schema import Inclusion, Study, Tissue
-from .coordinates import origin, shifted
 from .placed import SceneError
+from .regions import origin, shifted
 
 
 @dataclass(frozen=True)

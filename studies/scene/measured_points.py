@@ -12,7 +12,7 @@ from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..study.measured import Measured, MeasuredPoint
 from ..study.schema import Study
-from .coordinates import measured_on
+from .regions import measured_on
 from .scene import SceneError
 
 # of the mean edge: how far from the surface a point may be measured; flat facets leave a round body by less

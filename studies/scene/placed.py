@@ -1,9 +1,10 @@
-"""A constraint on its mesh: what the kinds of constraints make pressures and lines from."""
+"""A constraint on its mesh: what the kinds of constraints make pressures, lines and indenters from."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +14,13 @@ from solver_common.quadrature import facet_quadrature
 from ..body.mesh import Mesh
 from ..body.surface_measures import facet_area_vectors
 from ..study.errors import InputError, Loc
+from ..study.loads import PROFILES, Pushed
 from ..study.schema import Constraint, Region
-from .contact_profile import on_facets, sampled
+from .regions import profile_coordinate, profile_slope
+
+if TYPE_CHECKING:
+    from fem_reference.indenter import Indenter
+
 
 _LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: below it is rounding or chance
 _CLEAR_RESULTANT = 0.1  # the same, from which on samples of a profile tell that it has one
@@ -59,7 +65,7 @@ class PlacedConstraint:
         """(F, Q) pressure of peak 1 over the region.
 
         A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated
-        over the facets (`vdmbench.scene.contact_profile`): its resultant hangs neither on mesh level nor on model.
+        over the facets (`vdmbench.scene.placed`): its resultant hangs neither on mesh level nor on model.
         """
         shape = self._remembered(profile, lambda: self._shape(profile))
         if not shape.any():
@@ -122,3 +128,142 @@ class PlacedConstraint:
 
     def _error(self, text: str) -> SceneError:
         return SceneError(f"{self.constraint.kind} {self.constraint.name!r} {text}", self.place)
+
+
+# --- A rigid indenter on its mesh: where its tip first touches ---
+
+
+_LEAST = 1e-6  # of a region's area, below which its facets have no mean normal
+
+
+@dataclass(frozen=True)
+class PlacedIndenter:
+    """An indenter that touches at depth zero, (F,) facets that it can touch, and its depth at load factor 1 [m]."""
+
+    indenter: Indenter
+    facets: Mask
+    depth: float
+
+
+def place_indenter(pushed: Pushed, mesh: Mesh, place: Loc) -> PlacedIndenter:
+    """The indenter of a constraint, its axis through the middle of the region's area.
+
+    Raises
+    ------
+    SceneError
+        a region without a mean normal where no push is given, or an indenter that cannot be.
+    """
+    from fem_reference.indenter import Capsule, FlatPunch, Indenter, Sphere
+    from solver_common.solution import SolverError
+
+    triangles = mesh.triangles[pushed.facets]
+    vectors = facet_area_vectors(mesh.surface_points, triangles)
+    areas = np.linalg.norm(vectors, axis=1)
+    direction = -vectors.sum(axis=0) if pushed.direction is None else np.array(pushed.direction)
+    if np.linalg.norm(direction) < _LEAST * areas.sum():
+        raise SceneError(
+            "the region of the indenter faces every way; give push, or a region on one side", place
+        )
+    middle = areas @ mesh.surface_points[triangles].mean(axis=1) / areas.sum()
+    try:
+        if pushed.shape == "capsule":
+            x, y, z = pushed.along or (0.0, 0.0, 0.0)
+            shape: Capsule | FlatPunch | Sphere = Capsule(pushed.radius, pushed.length, (x, y, z))
+        else:
+            shape = (FlatPunch if pushed.shape == "flat-punch" else Sphere)(pushed.radius)
+        there = Indenter(shape, middle, direction)
+        gap = there.gap(mesh.surface_points[np.unique(triangles)]).min()
+        if not np.isfinite(gap):
+            raise SceneError("the indenter passes by all nodes of its region; take a finer mesh", place)
+        return PlacedIndenter(
+            Indenter(shape, middle + gap * there.axis, direction), pushed.facets, pushed.depth
+        )
+    except SolverError as error:
+        raise SceneError(f"{error.status.message}; {error.status.remedy}", place) from None
+
+
+# --- Smooth contact profiles on flat facets: integrated, so that their resultant belongs to no mesh ---
+
+
+_FINEST = 4e-3  # change of rho over a cell that is not split further: leaves less than 1e-6 of the resultant
+_SMOOTH = 0.25  # the same far from the rim, where the rule on a facet leaves less than that
+_FROM_RIM = 3.0  # such changes between a cell and the rim, where the Hertz profile has an infinite slope
+# the products of two barycentric coordinates span the polynomials of second degree, with which loads are integrated
+_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+
+
+def on_facets(profile: str, region: Region, mesh: Mesh, rule: tuple[Array, Array]) -> Array:
+    """(F, Q) values at the quadrature points of a facet whose sums are the profile's integrals.
+
+    The rule's sums with all polynomials of second degree are those of the profile itself over the flat facet, to
+    1e-6 of the whole. Loads on linear and quadratic elements are thereby exact, whatever the mesh; near the rim the
+    values are no samples of the profile, and may be a little below zero.
+
+    Parameters
+    ----------
+    rule : (Q, 3) barycentric coordinates and (Q,) weights of a rule of Q = 6 points, exact to degree 4
+    """
+    moments = np.zeros((len(mesh.triangles), len(_PRODUCTS)))
+    facets = np.arange(len(mesh.triangles))
+    corners = mesh.surface_points[mesh.triangles].transpose(
+        1, 0, 2
+    )  # (3, C, 3) of the cells, at first the facets
+    cells = np.broadcast_to(
+        np.eye(3)[:, None], corners.shape
+    )  # the same in the facet's barycentric coordinates
+    share = 1.0  # of a cell in its facet
+    while len(facets):
+        split, whole = _are_split(region, mesh, corners)
+        values = PROFILES[profile](profile_coordinate(region, mesh, _at(rule[0], corners[:, whole])))
+        moments += share * _moments(values, cells[:, whole], facets[whole], rule, len(moments))
+        facets = np.tile(facets[split], 4)
+        corners, cells = _quarters(corners[:, split]), _quarters(cells[:, split])
+        share /= 4.0
+    barycentric, weights = rule
+    return np.asarray(np.linalg.solve(_products(barycentric) * weights, moments.T).T)
+
+
+def sampled(profile: str, region: Region, mesh: Mesh, barycentric: Array) -> Array:
+    """(F, Q) values of the profile at the places (Q, 3) of each facet."""
+    corners = mesh.surface_points[mesh.triangles].transpose(1, 0, 2)
+    return PROFILES[profile](profile_coordinate(region, mesh, _at(barycentric, corners))).T
+
+
+def _are_split(region: Region, mesh: Mesh, corners: Array) -> tuple[Mask, Mask]:
+    """(C,) cells over which the profile is not smooth enough for the rule, and those over which it is.
+
+    In neither are those that lie beyond the rim.
+    """
+    sides = corners - np.roll(corners, 1, axis=0)
+    longest = np.sqrt(np.einsum("kci,kci->kc", sides, sides).max(axis=0))
+    rho = profile_coordinate(region, mesh, corners)
+    change = longest * profile_slope(region, mesh, corners).max(axis=0)
+    outside = rho.min(axis=0) - change > 1.0
+    smooth = (change < _SMOOTH) & (1.0 - rho.max(axis=0) > _FROM_RIM * change)
+    whole = smooth | (change < _FINEST)
+    return ~(outside | whole), whole & ~outside
+
+
+def _at(barycentric: Array, corners: Array) -> Array:
+    """(Q, C, 3) places in cells whose corners are (3, C, 3)."""
+    return np.asarray(np.tensordot(barycentric, corners, axes=1))
+
+
+def _moments(values: Array, cells: Array, facets: Index, rule: tuple[Array, Array], count: int) -> Array:
+    """(F, 6) integrals of (Q, C) values times the products, over the cells' area, summed by facet."""
+    barycentric, weights = rule
+    found = np.einsum("qc,kqc->kc", values * weights[:, None], _products(_at(barycentric, cells)))
+    return np.stack([np.bincount(facets, row, count) for row in found], axis=1)
+
+
+def _products(barycentric: Array) -> Array:
+    """(6, ...) of barycentric coordinates (..., 3)."""
+    return np.stack([barycentric[..., a] * barycentric[..., b] for a, b in _PRODUCTS])
+
+
+def _quarters(cells: Array) -> Array:
+    """(3, 4 C, 3) of cells (3, C, 3), by the middles of their edges."""
+    a, b, c = cells
+    ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.concatenate([np.stack(part) for part in parts], axis=1)

@@ -17,12 +17,10 @@ from ..study.errors import Loc
 from ..study.loads import KINDS, Springs
 from ..study.registry import EXTRAS
 from ..study.schema import Anisotropy, Study, Tissue, extras_of
-from .coordinates import in_mesh_coordinates, origin
 from .inclusions import PlacedInclusion, place_inclusions
-from .indenters import PlacedIndenter, place_indenter
-from .placed import PlacedConstraint
+from .placed import PlacedConstraint, PlacedIndenter, place_indenter
 from .placed import SceneError as SceneError
-from .regions import body_extent, lies_outside, select
+from .regions import body_extent, in_mesh_coordinates, lies_outside, origin, select
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from .. import models
-from ..scene.coordinates import origin
-from ..scene.regions import body_extent, lies_outside
+from ..scene.regions import body_extent, lies_outside, origin
 from ..study.config import holds_nothing
 from ..study.errors import Finding
 from ..study.files import swept_without_folders, told_directory

@@ -15,7 +15,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import inherit, refine
 from vdmbench.body.surface_measures import Surface, facet_area_vectors, nodal_sum
-from vdmbench.scene.contact_profile import on_facets
+from vdmbench.scene.placed import on_facets
 from vdmbench.scene.regions import select
 from vdmbench.scene.scene import Scene, SceneError, build_scene
 from vdmbench.study.config import geometry_of
