@@ -375,16 +375,11 @@ def fits(found: Sequence[Mapping[str, Any]]) -> str:
         [
             one["model"],
             "none in range" if one["modulus"] is None else quantity(one["modulus"], "Pa"),
-            NOTHING if one["uncertainty"] is None else percent(one["uncertainty"] / one["modulus"]),
-            *(
-                NOTHING if one[key] is None else quantity(one[key], "m")
-                for key in ("trained", "held_out", "as_given")
-            ),
+            *(NOTHING if one[key] is None else quantity(one[key], "m") for key in ("trained", "held_out")),
         ]
         for one in found
     ]
-    head = ["model", "E fitted", "± by u_D", "rms of E, fitted", "rms of E, held out", "with the study's E"]
-    return table(head, rows)
+    return table(["model", "E fitted", "rms of E, fitted", "rms of E, held out"], rows)
 
 
 # --- docs/evidence/league.md ---
