@@ -444,7 +444,7 @@ def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
 
 def performance(name: str, arguments: Sequence[str]) -> None:
     """What `vdmbench bench` measures, kept in results/bench."""
-    from vdmbench.bench import amount, answers, error_text, median, read_bench, seconds
+    from vdmbench.bench import amount, error_text, median, read_bench, seconds
 
     own, there = EVIDENCE[name], ROOT / "results" / "bench"
     surface = ["--surface", Path(arguments[0]).absolute()] if arguments else []
@@ -460,13 +460,9 @@ def performance(name: str, arguments: Sequence[str]) -> None:
     head = ["body", "nodes", "model", "set-up", "frame, all nodes", "columns", "frame, contact", "re-cut"]
     head += ["memory", "error"]
     kept(own["all_rows"], head, rows)
-    first, *others = [
-        row for row in answers(bench) if not any(words in row["question"] for words in own["left_out"])
-    ]
-    told = table(list(first), [list(row.values()) for row in (first, *others)])
+    machine = f"{bench.machine['processor']}, one thread; medians of {bench.machine['rounds']} rounds"
     of_one = table(head[2:], [row[2:] for row in rows if row[0] == own["body"]])
-    machine = f"{bench.machine['processor']}, one thread; medians of {bench.machine['rounds']} rounds.\n\n"
-    show(ROOT / own["document"], own["part"], f"{machine}{told}\nThe {own['body']}:\n\n{of_one}")
+    show(ROOT / own["document"], own["part"], f"{machine}; the {own['body']}.\n\n{of_one}")
 
 
 def main(arguments: Sequence[str]) -> None:

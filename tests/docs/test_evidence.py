@@ -42,7 +42,7 @@ def all_rows(name: str) -> list[list[str]]:
 
 def test_a_small_command_gives_the_rows_that_are_shown() -> None:
     """The coarsest mesh of each exact answer."""
-    there = {tuple(row[:3]): row for row in rows_shown(anchors.DOCUMENT, anchors.PART)}
+    there = {tuple(row[:3]): row for row in all_rows("anchors")}
     for anchor in anchors.ANCHORS:
         nodes, error = anchors.errors(anchor, anchor.meshes[0])
         row = there[anchor.name, f"{anchor.poisson_ratio:g}", str(nodes)]
@@ -160,6 +160,7 @@ def test_what_is_shown_is_made_of_all_rows() -> None:
     assert evidence.over_bodies(all_rows("ratios")) == there("ratios")
     assert evidence.accuracy_shown(all_rows("accuracy"))[1] == there("accuracy")
     assert cells(untuned.by_body(all_rows("untuned")))[1:] == there("untuned")
+    assert anchors.finest(all_rows("anchors")) == there("anchors")
     assert there("performance")[-1] == next(
         r[2:] for r in reversed(all_rows("performance")) if r[0] == "organ"
     )

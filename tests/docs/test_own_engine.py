@@ -1,8 +1,8 @@
-"""The manual's engine of twenty lines: what it reads from an export and writes is `fem-p1`'s answer."""
+"""The example's engine of twenty lines: what it reads from an export and writes is `fem-p1`'s answer."""
 
 from __future__ import annotations
 
-import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,7 @@ from vdmbench.measures.foreign import read_foreign
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, geometry_of, load_study
 
-PAGE = (Path(__file__).parents[2] / "docs" / "howto" / "own-engine.md").read_text()
-ENGINE = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)[1]
+ENGINE = Path(__file__).parents[2] / "docs" / "examples" / "twenty_lines.py"
 TOOL = """
 [[constraints]]
 kind = "constrained"
@@ -33,12 +32,12 @@ acceleration = [0, 0, -9.81]
 
 
 def test_it_has_twenty_lines_and_says_what_ours_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    solving = ENGINE.split("\n\n", 1)[1]
+    *_, solving = ENGINE.read_text().split("\n\n", 3)
     assert len(solving.splitlines()) <= 22, "twenty, and two that write"
     monkeypatch.chdir(tmp_path)
     Path("small.toml").write_text(SMALL_STUDY + TOOL)
     assert run(parse(["export", "small.toml", "--to", "out", "--cache", "cache", "--json"])) == 0
-    exec(compile(ENGINE, "own-engine.md", "exec"), {})
+    runpy.run_path(str(ENGINE))
     (case,) = expand(load_study(Path("small.toml")))
     mesh = mesh_from_cache(geometry_of(case.study), Path("cache"))
     theirs = read_foreign(Path("theirs.csv"), mesh)
