@@ -152,7 +152,7 @@ def clean_surface_points(points: Array) -> Index:
         (
             np.concatenate([CORNER, CORNER + 5]),
             np.concatenate([FACES, FACES + 4]),
-            "separate pieces, in 2 places",
+            r"separate pieces, in 2 places \(.* facets about .*\); keep one",
         ),
         (np.random.default_rng(0).random((6, 3)), projective_plane(), "one-sided"),
         (CORNER * [1, 1, 0], FACES, "no volume"),

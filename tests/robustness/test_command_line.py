@@ -73,18 +73,6 @@ def test_resolved_toml_says_the_same(finished: Path) -> None:
     assert [case["hash"] for case in a["cases"]] == [case["hash"] for case in b["cases"]]
 
 
-def test_numbers_are_plausible(finished: Path) -> None:
-    for case in store.read_run(finished / RUN).cases:
-        paper, fem = case.models["vdm-paper"], case.models["fem-linear"]
-        error = case.metrics["vdm-paper"]["relative_l2_displacement_error"].values
-        assert 0.3 < error[-1] < 1.0, "VDM as printed is far off, but not in the wrong direction"
-        np.testing.assert_allclose(error[0], error[1], rtol=1e-9, atol=0, err_msg="both models are linear")
-        np.testing.assert_allclose(fem.reaction_force[-1].sum(axis=0)[2], 0.1, rtol=1e-3, atol=0)
-        top = np.argmax(case.points[:, 2])
-        assert fem.displacement[-1, top, 2] < 0
-        assert paper.displacement[-1, top, 2] < 0
-
-
 def test_a_second_run_does_nothing_again(copy: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in (copy / RUN / "cases").iterdir()}
     result = vdmbench("run", "small.toml", cwd=copy)
@@ -275,22 +263,6 @@ def test_an_interruption_says_what_the_same_command_does(
     result = vdmbench(*command.split(), cwd=tmp_path)
     assert result.returncode == 130
     assert result.stderr == f"vdmbench: interrupted; {words}\n"
-
-
-def test_every_problem_of_a_study_at_once(tmp_path: Path) -> None:
-    write_study(
-        tmp_path,
-        a=('"5 kPa"', '"5 kg"'),
-        b=("poisson_ratio = 0.49", "poisson_ratio = 0.6"),
-        c=("mesh_size", "mesh_sice"),
-    )
-    result = vdmbench("check", "small.toml", cwd=tmp_path)
-    assert result.returncode == 2
-    lines = result.stderr.splitlines()
-    for words in ("youngs_modulus", "poisson_ratio", "mesh_size"):
-        assert any(words in line and "small.toml:" in line for line in lines), words
-    problems = json.loads(vdmbench("check", "small.toml", "--json", cwd=tmp_path).stdout)["problems"]
-    assert {problem["line"] for problem in problems} >= {11, 14, 15}
 
 
 def test_a_mesh_that_cannot_be_made_is_found_before_the_run(tmp_path: Path) -> None:
