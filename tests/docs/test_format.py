@@ -26,7 +26,8 @@ PLACEHOLDERS = {
 
 
 def _documented() -> dict[str, re.Pattern[str]]:
-    rows = re.findall(r"^\| `(/[^`]+)` \|", FORMAT.read_text(), flags=re.MULTILINE)
+    first = re.findall(r"^\| (`/[^|]+) \|", FORMAT.read_text(), flags=re.MULTILINE)
+    rows = [path for cell in first for path in re.findall(r"`([^`]+)`", cell)]
     patterns = {}
     for row in rows:
         pattern = re.escape(row)
