@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -129,7 +128,7 @@ def document(rows: Sequence[Mapping[str, Any]]) -> str:
     for metric in METRICS:
         if shares := [share for row in rows for share in row["used"].get(metric, [])]:
             counts = "{} of {}".format(*held(rows, [metric]))
-            by_metric.append([f"`{metric}`", counts, f"{median(shares):.2g}", f"{max(shares):.2g}"])
+            by_metric.append([f"`{metric}`", counts, f"{max(shares):.2g}"])
     vector, deformation = (sum(row["own"][metric] <= 1.0 for row in rows) for metric in MEASURES)
     bars, orders, studies = ([row[key] for row in rows] for key in ("bar", "order", "study"))
     return (
@@ -137,7 +136,7 @@ def document(rows: Sequence[Mapping[str, Any]]) -> str:
         f"{percent(max(bars))}, orders of {min(orders):.2g} to {max(orders):.2g}. On the study's own\nmesh the "
         f"error of the reference is its own alone: there {vector} / {deformation} of {len(rows)} bars of "
         "displacement / deformation\nhold. Of all models, and of the reference's own figures:\n\n"
-    ) + table(["number", "bars that hold", "used, median", "used at most"], by_metric)
+    ) + table(["number", "bars that hold", "used at most"], by_metric)
 
 
 def main(name: str, arguments: Sequence[str]) -> None:

@@ -115,9 +115,10 @@ def accuracy(name: str, arguments: Sequence[str]) -> None:
 
 
 def accuracy_shown(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the page: the means of the two errors, without nodes, loads, worst and consistent form."""
+    """Head and rows of the page: means of the two errors of pressed patches, without worst and consistent form."""
     columns = [k for k, title in enumerate(accuracy_head()) if title not in ("nodes", "loads", "consistent")]
-    cells = [[" / ".join(row[k].partition(" (")[0].split(" / ")[:2]) for k in columns] for row in rows]
+    pressed = [row for row in rows if not row[0].endswith(", moved")]
+    cells = [[" / ".join(row[k].partition(" (")[0].split(" / ")[:2]) for k in columns] for row in pressed]
     return [accuracy_head()[k] for k in columns], cells
 
 
@@ -365,7 +366,8 @@ def measured_table(run: Run) -> str:
     summary = next(block for block in section.blocks if isinstance(block, Table))
     head = [column.title[:1].lower() + column.title[1:] for column in summary.columns]
     shown_here = [k for k, title in enumerate(head) if title not in ("of rms of D", "u_D", "per frame")]
-    rows = [[row[k].text for k in shown_here] for row in summary.rows]
+    left_out = EVIDENCE["measured"]["left_out"]
+    rows = [[row[k].text for k in shown_here] for row in summary.rows if row[0].text not in left_out]
     return table([head[k] for k in shown_here], rows)
 
 
@@ -378,6 +380,7 @@ def fits(found: Sequence[Mapping[str, Any]]) -> str:
             *(NOTHING if one[key] is None else quantity(one[key], "m") for key in ("trained", "held_out")),
         ]
         for one in found
+        if one["model"] not in EVIDENCE["measured"]["left_out"]
     ]
     return table(["model", "E fitted", "rms of E, fitted", "rms of E, held out"], rows)
 
