@@ -11,34 +11,28 @@ from typing import Any
 
 from .checks import check_measured_cases, fits_kind, geometry_spec, holds_nothing, validate
 from .errors import Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown
-from .fields import FieldRow, field_table, targets, value_at
+from .fields import targets, value_at
 from .files import changed_keys, merged
 from .kinds import MAX_NAME, Enters, is_safe_name
 from .loads import LOAD_KEYS
 from .registry import FINITE_STRAIN, split
-from .schema import Constraint, Region, Study, Tissue
+from .schema import Study
 from .shapes import Geometry as GeometrySpec
-from .sweep import Axis, ResolvedCase, as_written, check_cases, first_case, read_axes, substituted, variations
+from .sweep import (
+    OWN_KEYS,
+    Axis,
+    ResolvedCase,
+    as_written,
+    check_cases,
+    first_case,
+    read_axes,
+    substituted,
+    variations,
+)
 from .toml_lines import NotToml, TooLarge, key_lines
 from .units import shown
 
-__all__ = [
-    "Constraint",
-    "FieldRow",
-    "Problem",
-    "Region",
-    "ResolvedCase",
-    "Study",
-    "StudyError",
-    "Tissue",
-    "case_inputs",
-    "expand",
-    "field_table",
-    "geometry_of",
-    "holds_nothing",
-    "load_study",
-    "resolved",
-]
+__all__ = ["ResolvedCase", "Study", "StudyError", "holds_nothing"]  # and what is defined here
 
 ALL_LOADS = "load"  # limits.along: every load of the study, in proportion
 MAX_BYTES = 1_000_000  # of a study file
@@ -144,7 +138,7 @@ def resolved(study: Study) -> dict[str, Any]:
     data: dict[str, Any] = _jsonable(_plain(study))
     axes, _ = read_axes(data)
     if axes:
-        own = {key: value for key, value in data["sweep"].items() if key in ("mode", "samples", "seed")}
+        own = {key: value for key, value in data["sweep"].items() if key in OWN_KEYS}
         for axis in sorted(axes, key=lambda axis: axis.key):
             own[axis.key] = axis.as_written()
         data["sweep"] = own
@@ -244,7 +238,7 @@ def _loads_at_work(data: Mapping[str, Any]) -> dict[str, tuple[Loc, float]]:
 
 def _plain(study: Study) -> dict[str, Any]:
     """The study as it could have been parsed from a file in SI units; named tables sorted by name."""
-    data = study.model_dump(by_alias=True, exclude_none=True)
+    data = study.model_dump()
     for key in ("regions", "models"):
         data[key] = dict(sorted(data[key].items()))
     return data

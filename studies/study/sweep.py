@@ -8,27 +8,21 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, NamedTuple
 
 from .checks import fits_kind, validate
 from .errors import MOST_TOLD, Finding, Loc, Source, unknown
 from .fields import NEVER_AN_INPUT, EntryError, Target, entries, targets, value_at
 from .files import GEOMETRY_PATH, short_path
-from .schema import Study
+from .schema import Inputs, Study
 from .units import shown, type_name
-
-if TYPE_CHECKING:
-    from .schema import Study
-
 
 Value = float | str
 # label, swept values by key, the data of a study with them
 Case = tuple[str, dict[str, Value], dict[str, Any]]
 
-_OWN_KEYS = ("mode", "samples", "seed")
+OWN_KEYS = ("mode", "samples", "seed")  # of [sweep], which are no axis
+_OF_INPUTS = ("method", "samples", "seed")  # of [inputs], which are no input
 _STAR = "one-at-a-time"
 _BASE = "base"  # label of the case that a star is about
 _RANGE_KEYS = ("start", "stop", "num", "scale")
@@ -101,7 +95,7 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
         return [], []
-    given = {k: v for k, v in sweep.items() if k not in _OWN_KEYS}
+    given = {k: v for k, v in sweep.items() if k not in OWN_KEYS}
     known = targets(data) if given else {}  # slow, and every case of a sweep is asked
     fitting = [name for name, target in known.items() if fits_kind(data, target.loc)]
     sampled = sweep.get("mode") == "latin-hypercube"
@@ -392,7 +386,6 @@ def check_cases(
 # --- [inputs]: how well the numbers of a study are known, each as a standard deviation or a range ---
 
 
-OWN_KEYS = ("method", "samples", "seed")
 _TAIL = 1e-6  # share of all values that no sample reaches
 _FORMS = 'write { sd = "..." }, a standard deviation, or { range = ["...", "..."] }'
 
@@ -447,7 +440,7 @@ class Input:
 
 def inputs_of(study: Study) -> list[Input]:
     """What is not known of a sound study, in the order of its keys."""
-    return read_inputs(study.model_dump(by_alias=True, exclude_none=True))[0]
+    return read_inputs(study.model_dump())[0]
 
 
 def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
@@ -457,7 +450,7 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
     known = {key: target for key, target in targets(data).items() if _can_vary(data, target)}
     found: dict[str, Input] = {}
     findings: list[Finding] = []
-    for key, loc, entry in places(data, known):
+    for key, loc, entry in _entries(data, known):
         try:
             if key in found:
                 raise EntryError("is given twice")
@@ -474,7 +467,7 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
 def as_written(data: Mapping[str, Any]) -> dict[str, Any]:
     """The table [inputs] as a file could hold it, in SI."""
     table: Mapping[str, Any] = data["inputs"]
-    own = {key: table[key] for key in OWN_KEYS if key in table}
+    own = {key: table[key] for key in _OF_INPUTS if key in table}
     for one in read_inputs(data)[0]:
         own[one.key] = {"sd": one.sd} if one.span is None else {"range": list(one.span)}
     return own
@@ -484,9 +477,9 @@ def _can_vary(data: Mapping[str, Any], target: Target) -> bool:
     return target.si is not None and target.loc[0] not in NEVER_AN_INPUT and fits_kind(data, target.loc)
 
 
-def places(data: Mapping[str, Any], known: Collection[str]) -> Iterator[tuple[str, Loc, Any]]:
+def _entries(data: Mapping[str, Any], known: Collection[str]) -> Iterator[tuple[str, Loc, Any]]:
     """(key, place, entry) of the table [inputs]."""
-    table = {key: value for key, value in data["inputs"].items() if key not in OWN_KEYS}
+    table = {key: value for key, value in data["inputs"].items() if key not in _OF_INPUTS}
     return entries(table, known, {"sd", "range"}, ("inputs",))
 
 
@@ -507,30 +500,20 @@ def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Ta
         raise EntryError("has no value in this study; give it one, or leave it out here")
     target = known[key]
     if "sd" in entry:
-        deviation = _number(target, entry["sd"], "sd")
+        deviation = float(_value(target, entry["sd"], "sd"))
         if deviation <= 0:
             raise EntryError(f"must be positive, not {deviation:g}", "sd")
         return Input(key, target.loc, target.unit, value, deviation, None)
     ends = entry["range"]
     if not isinstance(ends, list | tuple) or len(ends) != 2:
         raise EntryError("must be a list of two values, the least and the most", "range")
-    low, high = (_number(target, end, "range") for end in ends)
+    low, high = (float(_value(target, end, "range")) for end in ends)
     if not low < high:
         raise EntryError("must begin with the smaller value, and end with another", "range")
     if not low <= value <= high:
         unit = "" if target.unit == "1" else f" {target.unit}"
         raise EntryError(f"does not hold the study's own value, {value:g}{unit}", "range")
     return Input(key, target.loc, target.unit, value, None, (low, high))
-
-
-def _number(target: Target, value: Any, name: str) -> float:
-    assert target.si is not None
-    try:
-        found = target.si.read(value)
-    except ValueError as error:
-        raise EntryError(str(error), name) from None
-    assert isinstance(found, float)
-    return found
 
 
 # --- The studies with other values of the inputs that tell what comes of not knowing them ---
@@ -552,29 +535,6 @@ class Variation:
     study: Study
 
 
-def count_of(method: str, keys: int, samples: int | None) -> int:
-    """How many variations a case has."""
-    number = samples or _SAMPLES
-    return {SENSITIVITIES: 2 * keys, SAMPLING: number, SOBOL: number * (keys + 2)}[method]
-
-
-def shares(method: str, keys: int, samples: int | None, seed: int | None) -> NDArray[np.float64]:
-    """(V, K) samples of the unit cube.
-
-    Raises
-    ------
-    ImportError
-        SALib, which Sobol needs, is not installed; the message has the command.
-    """
-    number, start = samples or _SAMPLES, seed or 0
-    if method == SAMPLING:
-        from scipy.stats import qmc
-
-        return np.asarray(qmc.LatinHypercube(keys, rng=start).random(number))
-    sample = salib("sample.sobol").sample(unit_cube(keys), number, calc_second_order=False, seed=start)
-    return np.asarray(sample, dtype=float)
-
-
 def unit_cube(keys: int) -> dict[str, Any]:
     """What SALib calls a problem: so many numbers from 0 to 1."""
     names = [f"x{k}" for k in range(keys)]
@@ -582,73 +542,57 @@ def unit_cube(keys: int) -> dict[str, Any]:
 
 
 def salib(module: str) -> Any:
-    """A module of SALib. Raises ImportError."""
+    """A module of SALib. Raises ImportError, whose message has the command that installs it."""
     try:
         return import_module(f"SALib.{module}")
     except ImportError:
         raise ImportError(f"Sobol's indices need SALib, which is not installed: {INSTALL}") from None
 
 
-def varied_values(inputs: Sequence[Input], study: Study) -> list[dict[str, float]]:
-    """The values of each variation: per key the lower and the upper, or the samples.
-
-    Raises
-    ------
-    ImportError
-        SALib is asked for and not installed.
-    """
-    table = study.inputs
-    if table is None:
-        return []
+def _varied_values(inputs: Sequence[Input], table: Inputs) -> list[dict[str, float]]:
+    """The values of each variation: per key the lower and the upper, or the samples. Raises ImportError."""
     if table.method == SENSITIVITIES:
         return [{one.key: end} for one in inputs for end in one.ends]
-    return [
-        {one.key: one.at(float(share)) for one, share in zip(inputs, row, strict=True)}
-        for row in shares(table.method, len(inputs), table.samples, table.seed)
-    ]
+    keys, number, seed = len(inputs), table.samples or _SAMPLES, table.seed or 0
+    if table.method == SAMPLING:
+        from scipy.stats import qmc
+
+        shares = qmc.LatinHypercube(keys, rng=seed).random(number)
+    else:
+        sobol = salib("sample.sobol").sample
+        shares = sobol(unit_cube(keys), number, calc_second_order=False, seed=seed)
+    return [{one.key: one.at(float(share)) for one, share in zip(inputs, row, strict=True)} for row in shares]
 
 
 def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
-    """The studies that tell what comes of not knowing the inputs, and what is wrong with some of them."""
+    """The studies that tell what comes of not knowing the inputs, or the first thing that is wrong with them."""
     if study.inputs is None:
         return [], []
-    data = study.model_dump(by_alias=True, exclude_none=True)
+    data = study.model_dump()
     inputs, findings = read_inputs(data)
     if findings:
         return [], findings
-    count = count_of(study.inputs.method, len(inputs), study.inputs.samples)
+    keys, number = len(inputs), study.inputs.samples or _SAMPLES
+    count = {SENSITIVITIES: 2 * keys, SAMPLING: number, SOBOL: number * (keys + 2)}[study.inputs.method]
     if count > _MOST:
         text = f"makes {count:,} variations of each case, more than the {_MOST:,} allowed; take fewer samples"
         return [], [(("inputs",), text)]
     try:
-        values = varied_values(inputs, study)
+        values = _varied_values(inputs, study.inputs)
     except ImportError as error:
         return [], [(("inputs", "method"), str(error))]
-    of_key = {one.key: one for one in inputs}
-    written = {key: loc for key, loc, _ in places(data, targets(data))}
+    locs = {one.key: one.loc for one in inputs}
     rest = {key: value for key, value in data.items() if key not in _NOT_VARIED}
     found: list[Variation] = []
     for changed in values:
         varied = rest
         for key, value in changed.items():
-            varied = substituted(varied, of_key[key].loc, value)
+            varied = substituted(varied, locs[key], value)
         other, faults = validate(varied, study._source)
-        if other is None:
-            findings += _of_variation(faults, changed, of_key, written)
-            if findings:
-                return [], findings
-            continue
+        if other is None:  # told at the input that makes the fault
+            loc, text = faults[0]
+            key = next((key for key in changed if locs[key] == loc), next(iter(changed)))
+            place = {name: place for name, place, _ in _entries(data, targets(data))}.get(key, ("inputs",))
+            return [], [(place, f"at {changed[key]:g}: {text}; give a range that ends before")]
         found.append(Variation(changed, other))
-    return found, findings
-
-
-def _of_variation(
-    faults: Sequence[Finding],
-    changed: Mapping[str, float],
-    of_key: Mapping[str, Input],
-    written: Mapping[str, Loc],
-) -> Iterator[Finding]:
-    """The faults of a variation, at the place of the input that makes them."""
-    for loc, text in faults[:1]:
-        key = next((key for key in changed if of_key[key].loc == loc), next(iter(changed)))
-        yield written.get(key, ("inputs",)), f"at {changed[key]:g}: {text}; give a range that ends before"
+    return found, []
