@@ -44,10 +44,10 @@ class Results:
     @cached_property
     def verdicts(self) -> Verdicts:
         """The answers that page and terminal show, by family: `verdicts["vdm-printed"].word`, `limits` and more."""
-        from .verdict.digest import Digest
+        from .verdict.digest import digest_of
         from .verdict.verdict import verdicts
 
-        return verdicts(Digest(self.data))
+        return verdicts(digest_of(self.data))
 
     @cached_property
     def headline(self) -> DataFrame:

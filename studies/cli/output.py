@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 import sys
 import textwrap
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ..measures.case import Run
-    from ..verdict.words import Told
 
 WIDTH = 80  # columns of a terminal
 _BEFORE_UNIT = re.compile(r"(?<=\d) (?=[^\W\d]|%)|(?<=±) ")
@@ -30,46 +28,27 @@ class UsageError(ValueError):
 
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     """The headline table, the verdict, the failures and the report's path."""
-    from ..report.headline import headline_metrics, headline_rows, terminal_rows
-    from ..report.section_cases import stopped_models
-    from ..verdict.digest import Digest
-    from ..verdict.verdict import verdicts
-    from ..verdict.words import told
+    from ..report.summary import TABLE, summary
 
-    digest = Digest(run)
-    stopped, found = stopped_models(digest), verdicts(digest)
-    words = told(found)
+    found = dict(run.told or summary(run))
+    table = found.pop(TABLE)
     if as_json:
-        print_json(
-            {
-                "directory": str(directory),
-                "report": str(report),
-                "done": len(run.cases),
-                "failed": list(run.failed),
-                "missing": list(run.missing),
-                "stopped": [
-                    dict(zip(("model", "where", "message", "remedy"), row, strict=True)) for row in stopped
-                ],
-                "headline": headline_rows(run),
-                "metrics": headline_metrics(run),
-                "answers": dataclasses.asdict(words),
-            }
-            | found.as_data()
-        )
+        print_json({"directory": str(directory), "report": str(report)} | found)
     else:
-        print_table(terminal_rows(digest))
-        print_answers(words)
+        print_table(table)
+        print_answers(found["answers"])
         complain_of_failures(run)
-        for model, place, message, remedy in stopped:
-            print(folded(f"stopped: {model} ({place}): {message}" + (f"; {remedy}" if remedy else "")))
+        for one in found["stopped"]:
+            told = f"stopped: {one['model']} ({one['where']}): {one['message']}"
+            print(folded(told + (f"; {one['remedy']}" if one["remedy"] else "")))
         lost = f", {run.damaged} damaged" if run.damaged else ""
         print(
-            f"{len(run.cases)} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"
+            f"{found['done']} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"
         )
         if spent := taken(run.plan):
             print(folded(spent))
         print(f"report: {report}")
-    if run.failed and not run.cases and all(failure["code"] == "input" for failure in run.failed):
+    if run.failed and not found["done"] and all(failure["code"] == "input" for failure in run.failed):
         return USAGE  # nothing could be done with what the user gave
     return DAMAGED if run.damaged else FAILED if run.failed else OK
 
@@ -86,17 +65,17 @@ def taken(plan: Mapping[str, Any]) -> str:
         return ""
 
 
-def print_answers(told: Told) -> None:
+def print_answers(told: Mapping[str, Any]) -> None:
     """A line a family, then what to take instead and why, folded to `WIDTH` columns; the page has more."""
     from ..verdict.words import ON_TERMINAL
 
     print()
-    for row in told.rows:
-        print(folded(f"{row.title}: {row.word}. {row.text}"))
-    for note in told.notes:
+    for row in told["rows"]:
+        print(folded(f"{row['title']}: {row['word']}. {row['text']}"))
+    for note in told["notes"]:
         print(folded(note))
-    instead = [("What to take instead?", told.instead)] if told.instead else []
-    further = [(a.question, a.sentences) for a in told.further if a.question in ON_TERMINAL]
+    instead = [("What to take instead?", told["instead"])] if told["instead"] else []
+    further = [(a["question"], a["sentences"]) for a in told["further"] if a["question"] in ON_TERMINAL]
     for question, sentences in [*instead, *further]:
         print(f"\n{question}")
         for sentence in sentences:

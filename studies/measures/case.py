@@ -100,7 +100,7 @@ class CaseResult:
 DAMAGED = "damaged"  # code of a failure: the case was done, its file cannot be read
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """A run directory as read back: what was asked for, what is done, what failed, what is missing."""
 
@@ -110,6 +110,9 @@ class Run:
     failed: Sequence[Mapping[str, str]]  # each with "hash", "label", "code", "message", "remedy"
     missing: Sequence[str]  # labels of planned cases without a result
     plan: Mapping[str, Any]
+    told: Mapping[str, Any] | None = (
+        None  # `vdmbench.report.summary` of it, where that is made or kept already
+    )
 
     @property
     def damaged(self) -> int:

@@ -9,7 +9,7 @@ from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.registry import Family
 from ..verdict.advice import Advice, Figures
-from ..verdict.digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, ModelSummary, Spread
+from ..verdict.digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, ModelSummary, Spread, digest_of
 from ..verdict.formatting import (
     NOTHING,
     exact_percent,
@@ -271,7 +271,7 @@ def _terminal_notes(digest: Digest, summary: ModelSummary) -> list[str]:
 
 def headline_rows(run: Run) -> list[dict[str, str]]:
     """One row per model for a notebook: column title -> text; empty where no case is finished."""
-    digest = Digest(run)
+    digest = digest_of(run)
     if not digest.cases:
         return []
     table = _table(digest)
@@ -290,7 +290,7 @@ def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
 
     Times have "measured" too: what stands beside them there.
     """
-    digest = Digest(run)
+    digest = digest_of(run)
     found: dict[str, dict[str, dict[str, Any]]] = {}
     for summary in digest.summaries:
         units = {VECTOR: "1", DEFORMATION: "1", NORMAL: "1", CONTACT: "1", HAUSDORFF: "m", DRIFT: "1"}

@@ -11,7 +11,7 @@ import numpy as np
 from ..machine.files import write_atomically
 from ..measures.case import Run
 from ..study.registry import load_all
-from ..verdict.digest import Digest
+from ..verdict.digest import Digest, digest_of
 from ..verdict.formatting import plural
 from ..verdict.verdict import verdicts
 from ..verdict.words import told
@@ -106,7 +106,7 @@ def page_html(run: Run, *, stills: bool = True) -> str:
     """The page as text, with still pictures of the surface or without."""
     # overflow is no surprise in what a model that broke down left behind; its numbers are shown as not finite
     with np.errstate(all="ignore"):
-        return _page_html(Digest(run), stills=stills)
+        return _page_html(digest_of(run), stills=stills)
 
 
 def every_section(digest: Digest) -> list[Section]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import fcntl
 from collections.abc import Callable
 from pathlib import Path
@@ -9,9 +10,8 @@ from pathlib import Path
 from ..machine.locks import LockedError, lock
 from ..measures.case import Run
 from ..store.cases import read_run, write_study
-from ..store.run_directory import read_plan
+from ..store.run_directory import REPORT, keep_told, read_plan
 
-REPORT = "report.html"
 _PATIENCE = 300.0  # s that one other process may take to write the tables and the report
 
 
@@ -25,6 +25,7 @@ def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
     `tell` is told who is waited for, where another process writes them. Raises ReportError if that takes long.
     """
     from .page import write_report  # plotting is slow to load, and who only plans draws nothing
+    from .summary import summary
 
     read_plan(directory)  # nothing is left in a directory that is none of ours
     report = directory / REPORT
@@ -34,6 +35,8 @@ def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
             run = read_run(directory, damaged=True)
             write_study(directory, run)
             write_report(run, report)
+            run = dataclasses.replace(run, told=summary(run))
+            keep_told(directory, run.plan, run.told or {})
     except LockedError as error:
         raise ReportError(
             f"{directory}: {error} has locked the report for more than {_PATIENCE:g} s; the results are kept, "

@@ -11,6 +11,7 @@ import hashlib
 import os
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -52,18 +53,20 @@ from .input_entries import input_entries, read_inputs
 from .measurement_entries import measurement_entries, read_measurement
 from .metrics_table import metric_rows, metrics_csv
 from .run_directory import (
+    METRICS_FILE,
+    STUDY_FILE,
     case_path,
     has_failed,
     read_failure,
     read_plan,
     read_study,
     read_times,
+    read_told,
 )
 from .shapes import CaseShape, MetricShape, ModelShape, Shape, one_line, parsed
 
 SCHEMA = 4
 MOVED = "surface_distance"
-STUDY_FILE, METRICS_FILE = "study.h5", "metrics.csv"
 _CSV_HASH = "case/metrics_csv"  # the SHA-256 of the one, in the other
 _VTK_TRIANGLE = 5
 _TEXTS_BYTES = 64 << 20  # room for a file's texts and structure
@@ -180,6 +183,36 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
         else:
             missing.append(planned["label"])
     return Run(study, study_text, cases, failed, missing, plan)
+
+
+class _OnceAsked(Sequence[CaseResult]):
+    """The cases of a run directory, all done, read when the first is asked for."""
+
+    def __init__(self, directory: Path, count: int) -> None:
+        self._directory, self._count = directory, count
+
+    @cached_property
+    def _cases(self) -> Sequence[CaseResult]:
+        return read_run(self._directory).cases
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._cases[place]
+
+
+def told_run(directory: Path) -> Run | None:
+    """A run directory that is as it was when its report was made, which cost no reading of cases; else None."""
+    try:
+        plan = read_plan(directory)
+        told = read_told(directory, plan)
+        if told is None or told["done"] != len(plan["cases"]):
+            return None
+        study, text = read_study(directory, plan)
+    except StoreError:
+        return None
+    return Run(study, text, _OnceAsked(directory, told["done"]), [], [], plan, told)
 
 
 def _digest(table: bytes) -> str:

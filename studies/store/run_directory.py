@@ -8,6 +8,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,10 @@ from ..machine.safe_open import UnfitFileError, read_regular
 from ..scene.result import FrameTimes
 from ..study.schema import Study
 from .hdf5 import StoreError
-from .shapes import FailureShape, PlanShape, sealed, unsealed
+from .shapes import FailureShape, PlanShape, ToldShape, sealed, unsealed
 
 PLAN, STUDY, RESOLVED, TIMES = "plan.json", "study.toml", "resolved.toml", "times.json"
+REPORT, STUDY_FILE, METRICS_FILE, TOLD = "report.html", "study.h5", "metrics.csv", "told.json"
 CASE_SUFFIX = ".vtkhdf"
 _SHORT, _READABLE = 12, 100  # characters of the hash, and of the label at most, in the name of a file
 _FOLDERS = ("cases", "failed")
@@ -209,6 +211,46 @@ class _TimesOfMesh(BaseModel):
 
 
 _TIMES = TypeAdapter(dict[str, _TimesOfMesh])
+
+
+# --- what was told ---
+
+
+def keep_told(directory: Path, plan: Mapping[str, Any], told: Mapping[str, Any]) -> None:
+    """Keep what a run says, with what it is made of and the files that say it too. Raises OSError."""
+    made = {name: _digest(read_regular(directory / name)) for name in _TELLING}
+    kept = {"of": _made_of(directory, plan), "files": made, "told": told}
+    write_atomically(directory / TOLD, sealed(kept, TOLD))
+
+
+def read_told(directory: Path, plan: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What `keep_told` kept; None where a case, a failure, a time, a table or the report is another since."""
+    try:
+        kept = unsealed(read_regular(directory / TOLD), TOLD, ToldShape)
+        made = {name: _digest(read_regular(directory / name)) for name in _TELLING}
+    except (OSError, ValueError):
+        return None
+    same = (kept["of"], kept["files"]) == (_made_of(directory, plan), made)
+    told: dict[str, Any] = kept["told"]
+    return told if same else None
+
+
+_TELLING = (STUDY_FILE, METRICS_FILE, REPORT)
+_SEAL_BYTES = 100  # at the end of a case file, its own sum among them
+
+
+def _made_of(directory: Path, plan: Mapping[str, Any]) -> str:
+    """A sum of all that tables and report are made of: the plan, the sums of case files, failures and times."""
+    found = hashlib.sha256(json_text([version("vdmbench"), plan]).encode())
+    for case in plan["cases"]:
+        with suppress(OSError), case_path(directory, case["hash"], case["label"]).open("rb") as file:
+            file.seek(-_SEAL_BYTES, os.SEEK_END)
+            found.update(file.read())
+        found.update(b"|")
+    for path in (directory / TIMES, *sorted((directory / "failed").glob("*.json"))):
+        with suppress(OSError):
+            found.update(path.name.encode() + path.read_bytes())
+    return found.hexdigest()
 
 
 # --- what failed ---

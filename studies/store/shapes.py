@@ -94,6 +94,14 @@ class FailureShape(Shape):
     remedy: str
 
 
+class ToldShape(Shape):
+    """told.json."""
+
+    of: Hash
+    files: dict[str, str]
+    told: dict[str, Any]
+
+
 class ModelShape(Shape):
     """A model of a case."""
 

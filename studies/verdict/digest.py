@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -480,3 +480,6 @@ def _median_known(parts: Sequence[Array]) -> float:
     values = np.concatenate([np.zeros(0), *parts])
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else math.nan
+
+
+digest_of = lru_cache(maxsize=1)(Digest)  # page, terminal and notebook show one run

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import fcntl
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +16,15 @@ import tomli_w
 from ..machine.files import clear_abandoned
 from ..machine.locks import LockedError, lock
 from ..measures.case import Run
+from ..store.cases import told_run
 from ..store.hdf5 import StoreError
 from ..store.run_directory import (
+    REPORT,
     RESOLVED,
     STUDY,
     case_path,
     failure_path,
+    keep_told,
     read_plan,
     refuse_foreign,
     refuse_linked,
@@ -104,11 +107,13 @@ def run_plan(
         if lines := without_room(plan, cases):
             raise RunError("\n".join(lines))
         _tidy(plan)
-        planned = summary(plan) | {"resumed": _resumed(plan, cases)}
         texts = {
             STUDY: text_without_folders(study_text).encode(),
             RESOLVED: tomli_w.dumps(without_folders(resolved(plan.study))).encode(),
         }
+        if not cases and not _decides(plan) and (done := _as_told(plan, texts)) is not None:
+            return done, plan.directory / REPORT
+        planned = summary(plan) | {"resumed": _resumed(plan, cases)}
         planned = write_plan(plan.directory, planned, texts)
         began = time.perf_counter()
         used = 0.0
@@ -129,13 +134,30 @@ def run_plan(
                 "jobs": options.jobs,
             }
             rewrite_plan(plan.directory, planned)
+            keep_told(plan.directory, planned, run.told or {})
         return dataclasses.replace(run, plan=planned), report
 
 
 def lost_cases(plan: Plan, shard: tuple[int, int], run: Run) -> list[str]:
     """Labels of the cases of a shard that a finished run should have, done or failed, and that are not there."""
+    if not run.missing:
+        return []
     there = {case.hash for case in run.cases} | {failure["hash"] for failure in run.failed}
     return [case.label or plan.study.study.name for case in plan.in_shard(shard) if case.hash not in there]
+
+
+def _as_told(plan: Plan, texts: Mapping[str, bytes]) -> Run | None:
+    """The run as its report tells it, where nothing has changed since; None where that is to be made anew."""
+    run = told_run(plan.directory)
+    if run is None:
+        return None
+    names = [(case["hash"], case["label"]) for case in run.plan["cases"]]
+    same = (
+        names == [(case.hash, case.label) for case in plan.cases]
+        and run.plan["command"] == list(plan.command)
+        and all((plan.directory / name).read_bytes() == text for name, text in texts.items())
+    )
+    return run if same else None
 
 
 def _check_study(plan: Plan) -> None:
