@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
 from enum import Enum
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeGuard
 
@@ -218,7 +219,7 @@ class Table(BaseModel):
 
     def without(self, data: dict[str, Any], *marks: Enters) -> dict[str, Any]:
         """Of this table's `data` what does not bear one of these marks, two levels deep; unknown keys stay."""
-        fields = {field.alias or name: (name, field) for name, field in type(self).model_fields.items()}
+        fields = _by_key(type(self))
         kept: dict[str, Any] = {}
         for key, value in data.items():
             name, field = fields.get(key, (key, None))
@@ -227,6 +228,12 @@ class Table(BaseModel):
             table = getattr(self, name) if field is not None else None
             kept[key] = table.without(value, *marks) if isinstance(table, Table) else value
         return kept
+
+
+@cache
+def _by_key(table: type[Table]) -> dict[str, tuple[str, FieldInfo]]:
+    """Key in a file -> name and field of a table."""
+    return {field.alias or name: (name, field) for name, field in table.model_fields.items()}
 
 
 def given(table: Table) -> set[str]:

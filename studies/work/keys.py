@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,7 +104,7 @@ def wanted(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None)
     setup = study.without(dict(inputs), Enters.MESH, Enters.CASE)
     others = {key: value for key, value in setup.items() if key not in (*_BY_PARTS, "study", "geometry")}
     others |= _beside(setup)
-    out = []
+    steps, out = load_steps(study, inputs), []
     for name in study.study.models:
         finest = levels if name == study.study.reference else 1
         for level in range(finest):
@@ -113,7 +113,7 @@ def wanted(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None)
             if _is_of_any_modulus(study, name):
                 tissue = {key: value for key, value in about["tissue"].items() if key != "youngs_modulus"}
                 factor = _digest(about | {"tissue": tissue})
-            out.append(_wanted(study, inputs, name, level, body, factor))
+            out.append(_wanted(study, steps, name, level, body, factor))
     return out
 
 
@@ -125,9 +125,9 @@ def _is_of_any_modulus(study: Study, name: str) -> bool:
     return solver in model.of_any_modulus and not supported and not inside
 
 
-def _wanted(study: Study, inputs: Mapping[str, Any], name: str, level: int, body: str, factor: str) -> Wanted:
-    steps = load_steps(study, inputs)
-
+def _wanted(
+    study: Study, steps: Sequence[Mapping[str, float]], name: str, level: int, body: str, factor: str
+) -> Wanted:
     def key(load: Any) -> str:
         return _digest({"body": body, "load": load, "format": _FORMAT})
 

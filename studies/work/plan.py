@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,7 +16,7 @@ from .. import models
 from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path
 from ..machine.sealed import is_sound
-from ..study.config import ResolvedCase, case_inputs, geometry_error, geometry_of
+from ..study.config import ResolvedCase, geometry_error, geometry_of
 from ..study.errors import MeshError
 from ..study.registry import Size
 from ..study.schema import Study
@@ -38,7 +38,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class PlannedCase:
-    """One case and what it needs. Cases with the same hash are the same work, done once."""
+    """One case and what it needs, worked out when it is asked for. Cases with the same hash are the same work."""
 
     hash: str
     label: str
@@ -46,12 +46,27 @@ class PlannedCase:
     swept_units: Mapping[str, str]
     study: Study
     mesh: str  # key of its mesh
-    wanted: tuple[Wanted, ...]  # of every model, and of the reference on every level
-    limits: str | None = None  # key of its small-strain limits
-    # where its inputs are not known: other values of them, each with some of the models; see `_varied`
-    variations: tuple[tuple[PlannedCase, ...], ...] = ()
+    chosen: frozenset[str] | None = None  # of a variation: the models that answer it
     values: Mapping[str, float] = field(default_factory=dict)  # of a variation: key -> value
     times: float = 1.0  # of a variation: what its displacements are to be multiplied by
+
+    @cached_property
+    def wanted(self) -> tuple[Wanted, ...]:
+        """What it takes of every model, and of the reference on every level."""
+        found = wanted(self.study, self.mesh)
+        if self.chosen is None:
+            return tuple(found)
+        return tuple(want for want in found if want.name in self.chosen and want.level == 0)
+
+    @cached_property
+    def limits(self) -> str | None:
+        """Key of its small-strain limits."""
+        return limits_key(self.study, self.hash) if self.chosen is None else None
+
+    @cached_property
+    def variations(self) -> tuple[tuple[PlannedCase, ...], ...]:
+        """Where its inputs are not known: other values of them, each with some of the models."""
+        return _varied(self) if self.chosen is None else ()
 
     @property
     def parts(self) -> list[PlannedCase]:
@@ -225,7 +240,7 @@ def make_plan(
                 found[asked] = _planned_mesh(geometry, volume)
             except MeshError as error:
                 raise geometry_error(study, error) from error
-        planned.append(_planned(case, found[asked].key))
+        planned.append(_planned(case, case.study, found[asked].key))
     meshes = {mesh.key: mesh for mesh in found.values()}
     return Plan(study, tuple(planned), meshes, directory, cache, command, fresh)
 
@@ -238,52 +253,39 @@ def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
     return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume, file_hash)
 
 
-def _planned(case: ResolvedCase, mesh_key: str) -> PlannedCase:
-    whole = _work_of(case, case.study, mesh_key, case.label)
-    limits = limits_key(case.study, whole.hash)
-    return replace(whole, limits=limits, variations=_varied(case, mesh_key))
-
-
-def _work_of(case: ResolvedCase, study: Study, mesh_key: str, label: str) -> PlannedCase:
-    """A case of the sweep, with its own study or with a varied one; without limits and variations."""
-    inputs = case_inputs(study)
-    return PlannedCase(
-        hash=case_hash(study, mesh_key, inputs),
-        label=label,
-        swept=case.swept,
-        swept_units=case.swept_units,
-        study=study,
-        mesh=mesh_key,
-        wanted=tuple(wanted(study, mesh_key, inputs)),
-    )
+def _planned(case: ResolvedCase | PlannedCase, study: Study, mesh_key: str, **about: Any) -> PlannedCase:
+    """A case of the sweep, with its own study or with a varied one."""
+    given = {"label": case.label, "swept": case.swept, "swept_units": case.swept_units} | about
+    return PlannedCase(hash=case_hash(study, mesh_key), study=study, mesh=mesh_key, **given)
 
 
 _MODULUS = "tissue.youngs_modulus"
 
 
-def _varied(case: ResolvedCase, mesh_key: str) -> tuple[tuple[PlannedCase, ...], ...]:
+def _varied(case: PlannedCase) -> tuple[tuple[PlannedCase, ...], ...]:
     """The variations of a case; models whose answers go with one over the modulus are asked at the case's own."""
     study = case.study
     if study.inputs is None:
         return ()
-    names, own, found = set(study.study.models), study.tissue.youngs_modulus, []
+    names, own, found = frozenset(study.study.models), study.tissue.youngs_modulus, []
     for varied in variations(study)[0]:
         moved = _MODULUS in varied.values
-        free = {name for name in names if moved and goes_with_modulus(study, name)}
+        free = frozenset(name for name in names if moved and goes_with_modulus(study, name))
         tissue = varied.study.tissue.model_copy(update={"youngs_modulus": own})
         same = varied.study.model_copy(update={"tissue": tissue})
         told = ", ".join(f"{key} = {value:.6g}" for key, value in varied.values.items())
         label = ", ".join(filter(None, (case.label, told)))
-        parts = []
-        for of, some, times in (
+        parts = (
             (varied.study, names - free, 1.0),
             (same, free, own / varied.values.get(_MODULUS, own)),
-        ):
-            if some:
-                whole = _work_of(case, of, mesh_key, label)
-                chosen = tuple(want for want in whole.wanted if want.name in some and want.level == 0)
-                parts.append(replace(whole, wanted=chosen, values=varied.values, times=times))
-        found.append(tuple(parts))
+        )
+        found.append(
+            tuple(
+                _planned(case, of, case.mesh, label=label, chosen=some, values=varied.values, times=times)
+                for of, some, times in parts
+                if some
+            )
+        )
     return tuple(found)
 
 
