@@ -193,23 +193,27 @@ def test_what_is_set_up_for_a_contact_is_set_up_for_its_place() -> None:
 
 
 def test_a_refusal_ends_when_the_model_learns(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = {"name": "keys", "models": ["bem", "fem-linear"], "reference": "fem-linear"}
+    names = {"name": "keys", "models": ["vdm-vector", "fem-linear"], "reference": "fem-linear"}
     lump = {"name": "lump", "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.01}, "youngs_modulus": 5e4}
     rest = {key: STUDY[key] for key in ("geometry", "tissue", "regions", "constraints")}
     one = Study.model_validate({**rest, "study": names, "inclusions": [lump]})
     before = {name: want.body for (name, level), want in answers(one).items() if not level}
-    model, _ = find("bem")
+    model, _ = find("vdm-vector")
     taught = dataclasses.replace(model, takes={**model.takes, "inclusions": model.solvers})
-    monkeypatch.setitem(all_models(), "bem", taught)
+    monkeypatch.setitem(all_models(), "vdm-vector", taught)
     after = {name: want.body for (name, level), want in answers(one).items() if not level}
-    assert before["bem"] != after["bem"]
+    assert before["vdm-vector"] != after["vdm-vector"]
     assert before["fem-linear"] == after["fem-linear"]
 
 
 # --- every field of the schema ---
 
 WHOLE: dict[str, Any] = STUDY | {
-    "study": {"name": "keys", "models": [*sorted(all_models()), "vdm-paper:figure-8"], "reference": "fem"},
+    "study": {
+        "name": "keys",
+        "models": [*sorted(all_models()), "vdm-paper:figure-8", "bem:nonlinear"],
+        "reference": "fem",
+    },
     "regions": STUDY["regions"]
     | {
         "leaf": {"below": {"axis": "y", "fraction": 0.2}},  # which nothing names
