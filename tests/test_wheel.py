@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 import zipfile
 from importlib.metadata import PackageNotFoundError, version
@@ -65,6 +66,30 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     subprocess.run(command, check=True, capture_output=True)
     (built,) = out.glob("*.whl")
     return built
+
+
+def test_every_package_and_its_data_is_declared() -> None:
+    own = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+    homes = {name: ROOT / folder for name, folder in own["package-dir"].items()}
+    files = [
+        (name, path)
+        for name, home in homes.items()
+        for path in home.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    ]
+    packages = {
+        ".".join((name, *path.parent.relative_to(homes[name]).parts))
+        for name, path in files
+        if path.name == "__init__.py"
+    }
+    assert set(own["packages"]) == packages
+    declared = {
+        path
+        for package, patterns in own["package-data"].items()
+        for pattern in patterns
+        for path in homes[package.split(".")[0]].joinpath(*package.split(".")[1:]).glob(pattern)
+    }
+    assert declared == {path for _, path in files if path.suffix != ".py" and path.name != "README.md"}
 
 
 @pytest.mark.slow
