@@ -36,7 +36,7 @@ _ROUNDING = 4e-15  # of a displacement gradient, with room
 # Of a load, what may be left of it where it is so small that rounding decides when to stop.
 _LEFT = 1e-3
 # A linear solve need not be more exact than the quadratic model it serves.
-_LEAST_FORCING, _MOST_FORCING = 1e-10, 1e-3
+_LEAST_FORCING, _MOST_FORCING = 1e-10, 1e-2
 _INVERSE_ITERATIONS, _INVERSE_TOLERANCE = 8, 1e-6  # for an eigenvalue of which one digit is told
 
 

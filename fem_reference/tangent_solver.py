@@ -103,7 +103,7 @@ class Multigrid:
 
     name = "iterative"
     library = "none"
-    patience = 100
+    patience = 30
     limit = 400
 
     def __init__(self, system: LinearSystem, memory_limit: float | None) -> None:

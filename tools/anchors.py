@@ -16,7 +16,7 @@ from fem_reference.exact import IncompressibleBall
 from fem_reference.linear import LinearProblem, Load
 from solver_common.arrays import Array, Mask
 from solver_common.quadrature import facet_quadrature
-from tests.unit.fem_shapes import Body, ball, mapped_box
+from tests.fem.shapes import Body, ball, mapped_box
 from tools.documents import ROOT, show, table
 from tools.evidence import EVIDENCE, kept
 from vdm import Load as SurfaceLoad

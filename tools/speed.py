@@ -18,7 +18,7 @@ import numpy as np
 from fem_reference.linear import LinearProblem, Load
 from fem_reference.plain_linear import PlainLinearProblem
 from solver_common.arrays import Array, Index
-from tests.unit.fem_shapes import Body, cube
+from tests.fem.shapes import Body, cube
 from tests.vdm.vdm_shapes import icosphere, torus
 from tools.documents import ROOT, show, table
 from vdm import Load as SurfaceLoad
@@ -157,7 +157,7 @@ def ngsolve_direct(b: Body, count: int) -> None:
     """Assembly, factor and so many solves by NGSolve and UMFPACK on the same mesh."""
     import ngsolve as ngs
 
-    from tests.verification.test_fem_independent_code import ngsolve_mesh
+    from tests.fem.test_independent_code import ngsolve_mesh
 
     mesh = ngsolve_mesh(b)
     space = ngs.VectorH1(mesh, order=2, dirichlet="base") * ngs.H1(mesh, order=1)

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.surface_stretch import BIOT, most_compressed
-from tests.unit.fem_shapes import Array, Body, mapped_box
+from tests.fem.shapes import Array, Body, mapped_box
 
 
 def _problem(body: Body, held: Array, poisson_ratio: float = 0.4999) -> FiniteStrainProblem:

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from fem_reference.condensed import CondensedProblem
 from fem_reference.finite_strain import FiniteStrainProblem
-from tests.unit.fem_shapes import ball
+from tests.fem.shapes import ball
 from tests.vdm.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.example_case import asked, example_case
-from tests.unit.fem_shapes import cube
+from tests.fem.shapes import cube
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh

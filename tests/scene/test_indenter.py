@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fem_reference.exact_contact import Hertz
+from tests.fem.shapes import mapped_box
 from tests.in_process import do_cases
-from tests.unit.fem_shapes import mapped_box
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh

@@ -13,7 +13,7 @@ from fem_reference.forces import line_forces, point_forces, region_forces, tract
 from fem_reference.loads import independent_loads
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import Body, ball, cube, mapped_box
+from tests.fem.shapes import Body, ball, cube, mapped_box
 from tests.verification.records import Verified
 
 Array = NDArray[np.float64]

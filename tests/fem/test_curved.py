@@ -13,13 +13,13 @@ from fem_reference.forces import region_forces
 from fem_reference.loads import nodal_forces
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import Body, assert_same, ball, cube, pressed_shell
-from tests.verification.fem_convergence import (
+from tests.fem.convergence import (
     THREE_POINTS,
     Convergence,
     inner_error,
     relative_without_motion,
 )
+from tests.fem.shapes import Body, assert_same, ball, cube, pressed_shell
 from tests.verification.records import Verified
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from fem_reference.exact import LayeredSphere, ThickSphere
 from fem_reference.exact_finite_strain import InflatedThickSphere
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import Body, cube, pressed_shell
-from tests.verification.fem_convergence import Convergence, inner_error, radial_error
+from tests.fem.convergence import Convergence, inner_error, radial_error
+from tests.fem.shapes import Body, cube, pressed_shell
 from tests.verification.records import Verified
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from tests.fem.shapes import FIELDS
 from tests.study.test_shipped_studies import NAMES, shipped
-from tests.unit.fem_shapes import FIELDS
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh

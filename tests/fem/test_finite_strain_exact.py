@@ -22,8 +22,8 @@ from fem_reference.exact_finite_strain import InflatedThickSphere
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.mesh import TetMesh
 from solver_common.quadrature import facet_quadrature
-from tests.unit.fem_shapes import Body, ball, cube, pressed_shell
-from tests.verification.fem_convergence import Convergence, inner_error, relative_l2
+from tests.fem.convergence import Convergence, inner_error, relative_l2
+from tests.fem.shapes import Body, ball, cube, pressed_shell
 from tests.verification.records import Verified
 
 Array = np.ndarray

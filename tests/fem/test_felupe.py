@@ -17,7 +17,7 @@ from fem_reference import finite_strain_assembly
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.mesh import TetMesh
 from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
-from tests.unit.fem_shapes import cube
+from tests.fem.shapes import cube
 
 felupe = pytest.importorskip("felupe", reason="needs FElupe: pip install '.[benchmark]'")
 

@@ -15,14 +15,14 @@ from skfem import MeshTet
 
 from fem_reference.exact import IncompressibleBall, ThickCylinder, ThickSphere
 from solver_common.quadrature import facet_quadrature
-from tests.unit.fem_shapes import Body, ball, body, mapped_box, pressed_shell
-from tests.verification.fem_convergence import (
+from tests.fem.convergence import (
     THREE_POINTS,
     Convergence,
     inner_error,
     relative_l2,
     relative_without_motion,
 )
+from tests.fem.shapes import Body, ball, body, mapped_box, pressed_shell
 from tests.verification.records import Verified
 
 Array = np.ndarray

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.linear import LinearProblem
-from tests.unit.fem_shapes import Body, cube
+from tests.fem.shapes import Body, cube
 
 TILT = (1.0, -2.0, 0.5)
 

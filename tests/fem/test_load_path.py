@@ -10,7 +10,7 @@ from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.load_path import LoadPath
 from fem_reference.loads import Load
 from fem_reference.solution import Solution
-from tests.unit.fem_shapes import Body, assert_same, cube
+from tests.fem.shapes import Body, assert_same, cube
 
 OUTPUTS = frozenset({"max_principal_strain", "volume"})
 SHARES = (0.01, 0.5, 1.0, 0.25, 0.75, 0.6, 0.75)

@@ -19,7 +19,7 @@ from fem_reference.mesh import TetMesh
 from fem_reference.progress import Progress, reported
 from fem_reference.recovery import displacement_gradient
 from fem_reference.solution import Solution, SolverError
-from tests.unit.fem_shapes import Body, ball, body, cube
+from tests.fem.shapes import Body, ball, body, cube
 from tests.verification.records import Verified
 
 Array = np.ndarray

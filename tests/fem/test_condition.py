@@ -11,7 +11,7 @@ from fem_reference.condition import condition_estimate
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.solution import SolverError
 from fem_reference.system import LinearSystem
-from tests.unit.fem_shapes import Body, ball, cube
+from tests.fem.shapes import Body, ball, cube
 
 CUBE, BALL = cube(2), ball(1)
 CONDITION = frozenset({"condition_estimate"})

@@ -14,8 +14,8 @@ from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.linear import LinearProblem
 from fem_reference.solution import SolverError
 from fem_reference.springs import ElasticSupport
-from tests.unit.fem_shapes import Body, cube, pressed_shell
-from tests.verification.fem_convergence import Convergence, radial_error
+from tests.fem.convergence import Convergence, radial_error
+from tests.fem.shapes import Body, cube, pressed_shell
 from tests.verification.records import Verified
 
 Array = NDArray[np.float64]

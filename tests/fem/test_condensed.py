@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from fem_reference.condensed import CondensedProblem
 from fem_reference.linear import LinearProblem
 from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import FIELDS, Body, assert_same, ball, cube
+from tests.fem.shapes import FIELDS, Body, assert_same, ball, cube
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from scipy.integrate import quad
 from fem_reference.exact_finite_strain import InflatedThickSphere
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.materials import MATERIALS
-from tests.unit.fem_shapes import pressed_shell
-from tests.unit.test_fem_materials import SHAPES, _curves
-from tests.verification.fem_convergence import Convergence, inner_error
+from tests.fem.convergence import Convergence, inner_error
+from tests.fem.shapes import pressed_shell
+from tests.fem.test_materials import SHAPES, _curves
 from tests.verification.records import Verified
 
 Array = NDArray[np.float64]

@@ -16,8 +16,8 @@ from skfem.refdom import RefTet
 from fem_reference import finite_strain_assembly
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.loads import nodal_forces
-from tests.unit.fem_shapes import Body, cube
-from tests.unit.test_fem_materials import SHAPES
+from tests.fem.shapes import Body, cube
+from tests.fem.test_materials import SHAPES
 
 ngs = pytest.importorskip("ngsolve", reason="needs NGSolve: pip install '.[benchmark]'")
 netgen_meshing = pytest.importorskip("netgen.meshing", reason="needs NGSolve: pip install '.[benchmark]'")

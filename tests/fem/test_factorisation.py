@@ -19,7 +19,7 @@ from fem_reference.loads import held_nodes
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import Solution, SolverError
 from fem_reference.system import LinearSystem, build_system
-from tests.unit.fem_shapes import ball, cube
+from tests.fem.shapes import ball, cube
 
 _HIDE = "import sys\nsys.modules['rslab'] = None\n"  # what an import meets on a machine without the wheel
 _BREAK = """
@@ -34,7 +34,7 @@ _ANSWER = """
 import json
 import warnings
 warnings.simplefilter("error")
-from tests.unit.test_fem_factorisation import answers
+from tests.fem.test_factorisation import answers
 print(json.dumps(answers()))
 """
 

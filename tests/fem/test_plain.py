@@ -17,7 +17,7 @@ from fem_reference.plain_finite_strain import PlainFiniteStrainProblem, between
 from fem_reference.plain_linear import PlainLinearProblem
 from fem_reference.solution import SolverError
 from fem_reference.springs import ElasticSupport
-from tests.unit.fem_shapes import FIELDS, Body, assert_same, cube
+from tests.fem.shapes import FIELDS, Body, assert_same, cube
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from fem_reference.exact_contact import BondedLayer, Hertz
 from fem_reference.indenter import Capsule, FlatPunch, Indenter, Shape, Sphere
 from fem_reference.linear import LinearProblem
 from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import Body, cube, mapped_box
+from tests.fem.shapes import Body, cube, mapped_box
 from tests.verification.records import Verified
 
 Array = NDArray[np.float64]

@@ -17,8 +17,8 @@ from skfem.helpers import dot
 
 from fem_reference.linear import ELEMENTS
 from fem_reference.recovery import StrainRecovery
-from tests.unit.fem_shapes import Body, cube
-from tests.verification.fem_convergence import Convergence, relative_l2
+from tests.fem.convergence import Convergence, relative_l2
+from tests.fem.shapes import Body, cube
 from tests.verification.records import Verified
 
 a_manufactured = pytest.mark.anchor(

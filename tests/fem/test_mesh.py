@@ -13,7 +13,7 @@ from fem_reference.loads import held_nodes, nodal_forces
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import SolverError
 from solver_common.quadrature import facet_quadrature
-from tests.unit.fem_shapes import ball, body, cube
+from tests.fem.shapes import ball, body, cube
 
 
 def test_facet_quadrature_is_exact_to_degree_four() -> None:

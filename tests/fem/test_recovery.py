@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from fem_reference import recovery
 from fem_reference.mesh import TetMesh
 from fem_reference.recovery import StrainRecovery, displacement_gradient
-from tests.unit.fem_shapes import Body, cube
+from tests.fem.shapes import Body, cube
 
 
 def _field(x: np.ndarray) -> np.ndarray:

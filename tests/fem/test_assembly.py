@@ -12,7 +12,7 @@ from skfem.helpers import ddot, div, sym_grad
 from fem_reference import assembly
 from fem_reference.mesh import TetMesh
 from solver_common.arrays import Array
-from tests.unit.fem_shapes import cube
+from tests.fem.shapes import cube
 
 
 def _whole(blocks: Array, pattern: assembly.Pattern) -> csr_array:

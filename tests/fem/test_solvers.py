@@ -27,7 +27,7 @@ from fem_reference.mesh import TetMesh
 from fem_reference.multigrid import DisplacementPreconditioner
 from fem_reference.solution import SolverError
 from fem_reference.system import LinearSystem, build_system
-from tests.unit.fem_shapes import cube
+from tests.fem.shapes import cube
 
 
 def _system(n: int = 3, poisson_ratio: float = 0.4999, *, order: int = 2, mixed: bool = True) -> LinearSystem:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from skfem import Basis
 
-from tests.unit.fem_shapes import Array, Body
+from tests.fem.shapes import Array, Body
 from tests.verification.records import Verified
 
 # the least supports that stop the rigid motion of a ball of radius 1

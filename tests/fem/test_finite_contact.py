@@ -15,7 +15,7 @@ from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.indenter import Capsule, FlatPunch, Indenter, Shape, Sphere
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import SolverError
-from tests.unit.fem_shapes import Body, cube
+from tests.fem.shapes import Body, cube
 from tests.verification.records import Verified
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from fem_reference.moduli import make_moduli
 from fem_reference.outputs import OUTPUTS, strain_below, strain_outputs
 from fem_reference.solution import SolverError
 from fem_reference.springs import ElasticSupport
-from tests.unit.fem_shapes import Body, assert_same, ball, cube
+from tests.fem.shapes import Body, assert_same, ball, cube
 from tests.verification.records import Verified
 
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fem_reference.forces import traction_forces
-from tests.unit.fem_shapes import Body, ball, cube, mapped_box
+from tests.fem.shapes import Body, ball, cube, mapped_box
 from tests.verification.records import Verified
 
 NEARLY_INCOMPRESSIBLE = (0.45, 0.49, 0.499, 0.4999, 0.49999)
