@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from solver_common.arrays import Array, Index, Mask
 from ..body.surface_measures import facet_area_vectors
 from ..study.errors import Finding
 from ..study.loads import KINDS
+from ..study.schema import Constraint, Tissue
 
 # shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing
 MOST_MOVED, MOST_DRIFT = 0.10, 0.05
@@ -22,8 +22,8 @@ OPPOSED = 0.05  # share of a contact's area that may face against its resultant
 
 
 def scene_warnings(
-    constraints: Sequence[Mapping[str, Any]],
-    tissue: Mapping[str, Any],
+    constraints: Sequence[Constraint],
+    tissue: Tissue,
     masks: Mapping[str, Mask],
     points: Array,
     triangles: Index,
@@ -33,32 +33,28 @@ def scene_warnings(
 
     Parameters
     ----------
-    constraints, tissue : as a resolved study holds them, SI
     masks : (N,) nodes of each region
     points, triangles : the surface, (N, 3) [m] and (F, 3)
     largest_factor : largest load factor
     """
     vectors = facet_area_vectors(points, triangles)
-    holding = {name for name, kind in KINDS.items() if kind.holds}  # a stored kind may be of another program
-    held = [masks[entry["region"]] for entry in constraints if entry["kind"] in holding]
+    held = [masks[part.region] for part in constraints if KINDS[part.kind].holds]
     support = np.logical_or.reduce([np.zeros(len(points), dtype=bool), *held])
     on_support = support[triangles].all(axis=1)
     apart = _apart(support, triangles)
     extent = float(np.ptp(points, axis=0).min())
-    if tissue.get("youngs_modulus", 0.0) > STIFF:
-        told = (
-            f"{tissue['youngs_modulus'] / 1e9:.3g} GPa is stiffer than tendon (1 to 2 GPa); a mixed-up unit?"
-        )
+    if tissue.youngs_modulus > STIFF:
+        told = f"{tissue.youngs_modulus / 1e9:.3g} GPa is stiffer than tendon (1 to 2 GPa); a mixed-up unit?"
         yield ("tissue", "youngs_modulus"), told
-    for place, entry in enumerate(constraints):
-        mask, loc = masks[entry["region"]], ("constraints", place, "region")
-        if entry["kind"] in holding:
+    for place, part in enumerate(constraints):
+        mask, loc = masks[part.region], ("constraints", place, "region")
+        if KINDS[part.kind].holds:
             if mask.any() and not (on_support & mask[triangles].any(axis=1)).any():
                 yield loc, _lone(int(mask.sum()))
             elif count := int((mask & apart).sum()):
                 yield loc, _lone_besides(count)
             continue
-        if entry["kind"] != "contact":
+        if part.kind != "contact":
             continue
         if mask.sum() <= FEW_NODES:
             few = _number(int(mask.sum()))
@@ -76,10 +72,8 @@ def scene_warnings(
                     "take a region on one side"
                 ),
             )
-        force = largest_factor * abs(entry.get("force") or (entry.get("pressure") or 0.0) * size)
-        if not {"youngs_modulus", "poisson_ratio"} <= tissue.keys():
-            continue
-        path = indentation(force, total, tissue["youngs_modulus"], tissue["poisson_ratio"])
+        force = largest_factor * abs(part.force or (part.pressure or 0.0) * size)
+        path = indentation(force, total, tissue.youngs_modulus, tissue.poisson_ratio)
         if path > extent:
             told = (
                 f"presses with {force:.3g} N, which by linear theory moves the surface by {path:.2g} m, more "

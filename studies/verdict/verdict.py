@@ -589,8 +589,7 @@ def _doubts(digest: Digest) -> Iterator[Doubt]:
     same: dict[object, None] = {}
     for case in digest.cases:
         factor = float(abs(case.load_factors).max())
-        constraints = [one.model_dump(exclude_none=True) for one in case.study.constraints]
-        tissue = case.study.tissue.model_dump(exclude_none=True)
+        constraints, tissue = case.study.constraints, case.study.tissue
         surface = digest.surfaces[case.hash]
         # cases that differ in nothing that is looked at raise the same doubts
         key = (id(surface), factor, repr(constraints), repr(tissue), *map(bytes, case.regions.values()))
@@ -602,10 +601,8 @@ def _doubts(digest: Digest) -> Iterator[Doubt]:
         ):
             if loc not in seen:
                 seen.add(loc)
-                entry = (
-                    constraints[int(loc[1])] if loc[0] == "constraints" else {"name": ".".join(map(str, loc))}
-                )
-                yield Doubt(entry.get("name") or entry["region"], digest.case_name(case), text)
+                name = constraints[int(loc[1])].name if loc[0] == "constraints" else ".".join(map(str, loc))
+                yield Doubt(name, digest.case_name(case), text)
 
 
 def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Reservation]:

@@ -87,10 +87,10 @@ def _surface(plan: Plan, case: PlannedCase, most: float = MOST_NODES, *, keep: b
 
 
 def _doubts(case: PlannedCase, scene: Scene) -> list[Finding]:
-    data, mesh = resolved(case.study), scene.mesh
-    factor = max(map(abs, case.study.load.history))
+    study, mesh = case.study, scene.mesh
+    factor = max(map(abs, study.load.history))
     found = scene_warnings(
-        data["constraints"], data["tissue"], scene.regions, mesh.surface_points, mesh.triangles, factor
+        study.constraints, study.tissue, scene.regions, mesh.surface_points, mesh.triangles, factor
     )
     return [(loc, _in_case(text, case)) for loc, text in found]
 

@@ -13,10 +13,11 @@ from numpy.testing import assert_allclose
 from tests.report.runs import icosphere, make_case, make_run
 from vdmbench.report.page import write_report
 from vdmbench.scene.warnings import indentation, scene_warnings
+from vdmbench.study.schema import Constraint, Tissue
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import verdicts
 
-TISSUE = {"youngs_modulus": 5000.0, "poisson_ratio": 0.5}
+TISSUE = Tissue(youngs_modulus=5000.0, poisson_ratio=0.5)
 
 
 def plate(thickness: float = 0.01, cells: int = 20) -> tuple[np.ndarray, np.ndarray]:
@@ -37,11 +38,15 @@ NEAR = np.hypot(*POINTS[:, :2].T)
 SUPPORT = POINTS[:, 0] < -0.042
 
 
+def constraints(*entries: dict[str, Any]) -> list[Constraint]:
+    return [Constraint.model_validate(entry) for entry in entries]
+
+
 def found(kind: str, mask: np.ndarray, **keys: Any) -> list[str]:
     """The sentences about one constraint on `mask` beside a sound support."""
     entries = [{"kind": "fixed", "region": "base"}, {"kind": kind, "region": "here", **keys}]
     masks = {"base": SUPPORT, "here": mask}
-    doubts = list(scene_warnings(entries, TISSUE, masks, POINTS, TRIANGLES))
+    doubts = list(scene_warnings(constraints(*entries), TISSUE, masks, POINTS, TRIANGLES))
     assert all(loc[:2] == ("constraints", 1) for loc, _ in doubts)
     return [text for _, text in doubts]
 
@@ -86,14 +91,18 @@ def test_a_cap_on_a_ball_presses_from_one_side_up_to_a_hemisphere() -> None:
     for angle, doubtful in ((25, False), (85, False), (120, True)):
         masks = {"finger": points[:, 2] > np.cos(np.radians(angle))}
         entries = [{"kind": "contact", "region": "finger", "pressure": 1.0}]
-        assert bool(list(scene_warnings(entries, {}, masks, points, triangles))) == doubtful, angle
+        assert (
+            bool(list(scene_warnings(constraints(*entries), TISSUE, masks, points, triangles))) == doubtful
+        ), angle
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_force_that_moves_the_body_by_its_own_size(sign: float) -> None:
     pressed = TOP & (NEAR < 0.02)
     area = 0.005**2 / 2 * pressed[TRIANGLES].all(axis=1).sum()
-    limit = 0.01 / indentation(1.0, area, **TISSUE)  # N: the plate is 0.01 m thick
+    limit = 0.01 / indentation(
+        1.0, area, TISSUE.youngs_modulus, TISSUE.poisson_ratio
+    )  # N: the plate is 0.01 m thick
     assert not found("contact", pressed, force=sign * 0.99 * limit)
     [told] = found("contact", pressed, force=sign * 1.01 * limit)
     assert "more than the body's smallest extent (0.01 m); a mixed-up unit?" in told
