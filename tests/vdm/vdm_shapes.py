@@ -75,8 +75,13 @@ def torus(major: float = 0.05, minor: float = 0.02, n: int = 24, m: int = 12) ->
     return points, triangles
 
 
-def box(n: int = 4, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple[Array, Index]:
-    """The surface of a box, n x n squares of two triangles per face."""
+def box(
+    n: int = 4,
+    size: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    counts: tuple[int, int, int] | None = None,
+) -> tuple[Array, Index]:
+    """The surface of a box, n x n squares of two triangles per face, or `counts` of them along x, y and z."""
+    along = counts or (n, n, n)
     corners: dict[tuple[int, int, int], int] = {}
     triangles: list[tuple[int, int, int]] = []
 
@@ -84,9 +89,9 @@ def box(n: int = 4, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple
         return corners.setdefault(p, len(corners))
 
     for axis in range(3):
-        for side in (0, n):
-            for i in range(n):
-                for j in range(n):
+        for side in (0, along[axis]):
+            for i in range(along[(axis + 1) % 3]):
+                for j in range(along[(axis + 2) % 3]):
                     square = []
                     for di, dj in ((0, 0), (1, 0), (1, 1), (0, 1)):
                         p = [0, 0, 0]
@@ -94,7 +99,7 @@ def box(n: int = 4, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> tuple
                         square.append(node((p[0], p[1], p[2])))
                     a, b, c, d = square if side else square[::-1]
                     triangles += [(a, b, c), (a, c, d)]
-    points = np.array(list(corners), dtype=np.float64) / n * np.array(size)
+    points = np.array(list(corners), dtype=np.float64) / along * np.array(size)
     return points, np.array(triangles)
 
 

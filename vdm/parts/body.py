@@ -5,12 +5,21 @@ Part e has the stiffness S_e of its own closed surface, which turns with the rot
 rotation between them: the corotational idea (Felippa and Haugen, Comput. Methods Appl. Mech. Engrg. 194, 2005) with
 boundary elements as elements.
 
-The slope for a correction, with Q_e as they are, is condensed to the nodes C that parts
-share. With the part's inner nodes I, in its frame, `T = S_II^-1 S_IC` once, and `y = S_II^-1 g_I` of the gradient g
-of its volume in each iteration:
+The slope of a part, in its frame, is S_e and what its turning adds. With positions y and levers a X about their
+middle, forces f = S_e w less those that turn with it (pressures, contact), e_k the axes:
 
-`u_I = S_II^-1 f_I - T u_C + y p`, `(S_CC - S_CI T) u_C - h p = f_C - T^T f_I`,
-`h . u_C + (g_I . y) p = -gap - g_I . S_II^-1 f_I`, with h = g_C - T^T g_I.
+`K = S + B W + W^T B^T - W^T (Y^T B) W`, `omega = W dy = M^-1 sum a X x dy`, `M = tr(P) I - P`, `P = sum a X y^T`,
+`Y_k = e_k x y`, `B_k = e_k x f - S Y_k - (rho g . Y_k) g`, g the gradient of its volume (or area vectors).
+
+That is S and a product U C U^T of rank 6, `U = [W^T, B]`, `C^-1 = [[0, I], [I, Y^T B]]` (the geometric stiffness
+of a corotational element): exact but for terms of the order of the strain. Its weight presses the part's closed
+surface, so that it does not change where the part moves as one.
+
+S is condensed to the nodes C that parts share. With the part's inner nodes I, `T = S_II^-1 S_IC` once; U and g are
+columns of a border E, with unknowns q of which the first is the pressure:
+
+`u_I = S_II^-1 (f_I + E_I q) - T u_C`, `(S_CC - S_CI T) u_C - H q = f_C - T^T f_I`, `H = E_C - T^T E_I`,
+`H^T u_C + (E_I^T S_II^-1 E_I + D) q = t - E_I^T S_II^-1 f_I`, with D = C^-1 for U, t the volume that lacks for g.
 """
 
 from __future__ import annotations
@@ -39,6 +48,7 @@ FINEST = 16  # parts that the spread of rotations is read from
 # of the surface's area: its strain is below that of the rest, which grows at rims without limit on finer meshes
 MOST_AREA = 0.99
 LARGEST_STRAIN = 0.1
+BORDER = 7  # unknowns of a part beside displacements: its pressure and what its turning adds, six
 
 
 @dataclass(frozen=True)
@@ -51,6 +61,8 @@ class _Part:
     form : its stiffness
     body : its surface, ready to be deformed
     inner, shared : masks (n,) of I and C
+    owns : mask (n,) of the nodes of the body's surface that turn with it
+    areas : (n,) shares of its nodes in its surface
     places : (n_C,) of the shared nodes among all shared ones
     block : factor of S_II
     follows : (3 n_I, 3 n_C) T
@@ -63,9 +75,29 @@ class _Part:
     inner: Mask
     shared: Mask
     places: Index
+    owns: Mask
+    areas: Array
     block: Factor
     follows: Array
     carried: Array
+
+
+@dataclass(frozen=True)
+class _Acting:
+    """What acts on the parts in a state.
+
+    Attributes
+    ----------
+    states : each part's surface
+    on_surface : (N, 3) contact on the whole surface [N]
+    weight : (n,) pressure of the weight at all nodes [Pa]
+    rise : (3,) its slope [Pa/m]
+    """
+
+    states: list[DeformedSurface]
+    on_surface: Array
+    weight: Array
+    rise: Array
 
 
 class Parts:
@@ -78,6 +110,8 @@ class Parts:
     SolverError
         a part that has no factor, or more nodes than one takes.
     """
+
+    has_slope = True
 
     def __init__(self, problem: Problem, count: int, block: Factor | None = None) -> None:
         self.problem = problem
@@ -109,20 +143,26 @@ class Parts:
             at = _dofs(place[sprung])
             self._ground_joining[np.ix_(at, at)] = self._ground[_dofs(sprung)][:, _dofs(sprung)].toarray()
         # of the part that a node of the surface turns with, where a load follows it
-        self._owner = np.zeros(surface.n_nodes, np.int64)
+        self._owner = np.zeros(n, np.int64)
+        for number, triangles in enumerate(self.cut.parts):
+            self._owner[triangles] = number
+        self._owner = self._owner[: surface.n_nodes]
         parameters = replace(whole.parameters, ground=None)
         self.parts: list[_Part] = []
         for number, triangles in enumerate(self.cut.parts):
             nodes, local = np.unique(triangles, return_inverse=True)
-            self._owner[nodes[nodes < surface.n_nodes]] = number
             if self.n_pressures == 1:
                 form = copy.copy(whole)
                 form.parameters = parameters
             else:
                 own = SurfaceMesh(points[nodes], local.reshape(-1, 3))
                 form = BoundaryFormulation(own, parameters, fixed[nodes], joined[nodes])
+            owns = np.zeros(len(nodes), np.bool_)
+            on_surface = nodes < surface.n_nodes
+            owns[on_surface] = self._owner[nodes[on_surface]] == number
             inner = self.free[nodes] & ~shared[nodes]
-            self.parts.append(_condensed(form, nodes, inner, shared[nodes], place[nodes], block))
+            part = _condensed(form, nodes, inner, shared[nodes], owns, place[nodes[shared[nodes]]], block)
+            self.parts.append(part)
         self.volumes = np.array([part.form.surface.volume for part in self.parts])
         self.wanted = 1
         self._turns: Array | None = None
@@ -143,11 +183,20 @@ class Parts:
             states.append(state)
         turns = np.array([state.rotation for state in states])
         outer = problem.body.at(x[:n_surface], turns[0] if len(turns) == 1 else turns[self._owner])
-        applied[:n_surface] += problem.deformed_force(load, outer, outer.area_vectors)
+        on_surface = problem.deformed_force(load, outer, outer.area_vectors)
+        applied[:n_surface] += on_surface
+        if load.dead_force is not None:
+            on_surface = on_surface - load.dead_force
         if self._ground is not None:
             internal[:n_surface] += (self._ground @ x[:n_surface].reshape(-1)).reshape(-1, 3)
         scale = max(float(np.linalg.norm(force[self.free])) for force in (internal, applied))
-        return Balance(x, pressure, gap, internal - applied, scale, states)
+        rise, weight = np.zeros(3), np.zeros(len(x))
+        if problem.support.gravity is not None:
+            rise = load.weight * problem.support.density * problem.support.gravity
+            weight = (self.rest + x) @ rise - float((problem.body.rest @ rise).min())
+            on_surface = on_surface - weight[:n_surface, None] * outer.area_vectors
+        acting = _Acting(states, on_surface, weight, rise)
+        return Balance(x, pressure, gap, internal - applied, scale, acting)
 
     def correction(
         self,
@@ -157,38 +206,82 @@ class Parts:
         turn: Array,  # noqa: ARG002 - each part has a frame of its own
     ) -> tuple[Array, Array]:
         """As in `Large`."""
-        n, m = self._n_shared, self.n_pressures
-        turns = self._joined_at(np.array([state.rotation for state in balance.parts]))
-        right = np.zeros((n, 3, 1 + m))
+        n, m, k = self._n_shared, self.n_pressures, BORDER
+        acting: _Acting = balance.parts
+        turns = self._joined_at(np.array([state.rotation for state in acting.states]))
+        right = np.zeros((n, 3, 1 + k * m))
         right[:, :, 0] = -lacking[self._shared]
-        give, target = np.empty(m), -gap * self.volumes
+        corner, target = np.zeros((m, k, m, k)), np.zeros((m, k))
+        target[:, 0] = -gap * self.volumes
         inside: list[Array] = []
-        for e, (part, state, q) in enumerate(zip(self.parts, balance.parts, turns, strict=True)):
+        for e, (part, q) in enumerate(zip(self.parts, turns, strict=True)):
             # vectors in rows: v of the world is v @ q.T in the part's frame
-            pushes = np.stack([-lacking[part.nodes] @ q.T, state.area_vectors @ q.T], axis=2)
-            within = pushes[part.inner].reshape(-1, 2)
+            turning, own = self._turning(e, q, balance)
+            pushes = np.concatenate(
+                [
+                    np.stack([-lacking[part.nodes] @ q.T, acting.states[e].area_vectors @ q.T], axis=2),
+                    turning,
+                ],
+                axis=2,
+            )
+            within = pushes[part.inner].reshape(-1, 1 + k)
             solved = np.asarray(part.block.solve(np.asfortranarray(within)))
             inside.append(solved)
-            give[e] = within[:, 1] @ solved[:, 1]
-            target[e] -= within[:, 1] @ solved[:, 0]
+            corner[e, :, e] = within[:, 1:].T @ solved[:, 1:]
+            corner[e, 1:, e, 1:] += own
+            if not (part.inner | part.shared).any():  # it is held all over, and its pressure is at rest
+                corner[e, 0, e, 0] = 1.0
+            target[e] -= within[:, 1:].T @ solved[:, 0]
             if len(part.places):
-                passed = (part.follows.T @ within).reshape(-1, 3, 2)
-                right[part.places, :, 0] -= passed[:, :, 0] @ q
-                right[part.places, :, 1 + e] += (pushes[part.shared][:, :, 1] - passed[:, :, 1]) @ q
-        flat = right.reshape(3 * n, 1 + m)
+                passed = (part.follows.T @ within).reshape(-1, 3, 1 + k)
+                right[part.places, :, 0] -= np.einsum("nc,cd->nd", passed[:, :, 0], q)
+                joined = pushes[part.shared][:, :, 1:] - passed[:, :, 1:]
+                right[part.places, :, 1 + k * e : 1 + k * (e + 1)] += np.einsum("ncj,cd->ndj", joined, q)
+        flat = right.reshape(3 * n, 1 + k * m)
         border = flat[:, 1:].copy()
         if n:
             flat = linalg.cho_solve((self._factor, True), flat, check_finite=False)
-        push = np.linalg.solve(border.T @ flat[:, 1:] + np.diag(give), target - border.T @ flat[:, 0])
-        joined = (flat[:, 0] + flat[:, 1:] @ push).reshape(-1, 3)
+        system = border.T @ flat[:, 1:] + corner.reshape(k * m, k * m)
+        push = np.linalg.solve(system, target.reshape(-1) - border.T @ flat[:, 0])
+        moved_together = (flat[:, 0] + flat[:, 1:] @ push).reshape(-1, 3)
+        push = push.reshape(m, k)
         change = np.zeros((len(self.free), 3))
-        change[self._shared] = joined
+        change[self._shared] = moved_together
         for e, (part, q) in enumerate(zip(self.parts, turns, strict=True)):
-            moved = inside[e] @ [1.0, push[e]]
+            moved = inside[e] @ np.append(1.0, push[e])
             if len(part.places):
-                moved = moved - part.follows @ (joined[part.places] @ q.T).reshape(-1)
+                moved = moved - part.follows @ (moved_together[part.places] @ q.T).reshape(-1)
             change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ q
-        return change[self.free], push
+        # the pressure of the weight rises where a part goes down as one
+        sunk = [part.areas @ change[part.nodes] @ acting.rise for part in self.parts]
+        return change[self.free], push[:, 0] - sunk
+
+    def _turning(self, number: int, q: Array, balance: Balance) -> tuple[Array, Array]:
+        """What turning a part adds to its slope, `U C U^T`: U (n, 3, 6) in its frame, and C^-1 (6, 6).
+
+        See the head of this file. The part is pressed on its closed surface by its weight too: it turns as one.
+        """
+        part, acting = self.parts[number], balance.parts
+        state, levers, modes = acting.states[number], part.body.levers, np.eye(3)[None]
+        y = state.positions @ q.T
+        stressed = part.form.elastic_force(y - part.body.rest)
+        y = y - part.areas @ y
+        stretch = levers.T @ y
+        inertia = np.trace(stretch) * np.eye(3) - stretch
+        turned = np.cross(modes, y[:, None]).transpose(0, 2, 1)
+        vectors = state.area_vectors @ q.T
+        pushed = (balance.pressure[number] + acting.weight[part.nodes])[:, None] * vectors
+        own = part.nodes[part.owns]
+        pushed[part.owns] += acting.on_surface[own] @ q.T
+        slope = np.cross(modes, (stressed - pushed)[:, None]).transpose(0, 2, 1)
+        slope -= np.stack([part.form.elastic_force(mode) for mode in np.moveaxis(turned, 2, 0)], axis=2)
+        slope -= vectors[:, :, None] * ((q @ acting.rise) @ turned)[:, None, :]
+        met = turned.reshape(-1, 3).T @ slope.reshape(-1, 3)
+        inverse = np.zeros((6, 6))
+        inverse[:3, 3:] = inverse[3:, :3] = np.eye(3)
+        inverse[3:, 3:] = 0.5 * (met + met.T)
+        follows = np.cross(np.linalg.inv(inertia)[None], levers[:, None]).transpose(0, 2, 1)
+        return np.concatenate([follows, slope], axis=2), inverse
 
     def _joined_at(self, turns: Array) -> Array:
         """(m, 3, 3) rotations for a correction: these, or those of the last factor where no part has left it."""
@@ -208,7 +301,7 @@ class Parts:
         """Elastic energy [J], that of springs to the ground too."""
         total = sum(
             part.form.deformed_energy(balance.x[part.nodes], state)
-            for part, state in zip(self.parts, balance.parts, strict=True)
+            for part, state in zip(self.parts, balance.parts.states, strict=True)
         )
         if self._ground is not None:
             u = balance.x[: self.problem.formulation.surface.n_nodes].reshape(-1)
@@ -221,40 +314,68 @@ class Parts:
 
     def scalars(self, balance: Balance) -> dict[str, float]:
         """`parts`, `part_rotation` the largest between two parts [rad], `part_strain` the largest within one."""
-        turns = np.array([state.rotation for state in balance.parts])
+        turns = np.array([state.rotation for state in balance.parts.states])
         between = np.einsum("aij,bij->ab", turns, turns)
         angle = np.arccos(np.clip((between - 1.0) / 2.0, -1.0, 1.0))
-        strain = max(surface_strain(state) for state in balance.parts)
+        strain = max(surface_strain(state) for state in balance.parts.states)
         return {"parts": float(self.n_pressures), "part_rotation": float(angle.max()), "part_strain": strain}
 
-    def reserved(self, status: Status) -> Status:
-        """The status, with what the parts do not follow: too few of them."""
-        if self.n_pressures >= self.wanted:
-            return status
-        message = f"the load bends the body: {self.wanted} parts are called for, and {self.n_pressures} made"
-        why = f" ({self.cut.refused})" if self.cut.refused else ""
-        return replace(
-            status,
-            message="; ".join(filter(None, (status.message, message + why))),
-            remedy="; ".join(filter(None, (status.remedy, "refine the surface, or use finite elements"))),
-        )
+    def reserved(self, status: Status, balance: Balance) -> Status:
+        """The status, with what the parts do not follow: too few of them, strain within one."""
+        told = []
+        if self.n_pressures < self.wanted:
+            message = (
+                f"the load bends the body: {self.wanted} parts are called for, and {self.n_pressures} made"
+            )
+            why = f" ({self.cut.refused})" if self.cut.refused else ""
+            told.append((message + why, "refine the surface, or use finite elements"))
+        strain = max(surface_strain(state) for state in balance.parts.states)
+        if strain > LARGEST_STRAIN:
+            told.append(
+                (
+                    f"a part is strained by {strain:.0%}, and follows small strain inside",
+                    "use finite elements of finite strain where the change of shape matters",
+                )
+            )
+        for message, remedy in told:
+            status = replace(
+                status,
+                message="; ".join(filter(None, (status.message, message))),
+                remedy="; ".join(filter(None, (status.remedy, remedy))),
+            )
+        return status
 
 
 def _condensed(
-    form: BoundaryFormulation, nodes: Index, inner: Mask, shared: Mask, place: Index, block: Factor | None
+    form: BoundaryFormulation,
+    nodes: Index,
+    inner: Mask,
+    shared: Mask,
+    owns: Mask,
+    places: Index,
+    block: Factor | None,
 ) -> _Part:
+    """A part whose inner nodes are eliminated; `block` is their factor where it is known."""
+    follows = carried = np.zeros((0, 0))
+    if shared.any():
+        i, c = _dofs(np.flatnonzero(inner)), _dofs(np.flatnonzero(shared))
+        block = DenseFactor(form.matrix[np.ix_(i, i)]) if len(i) else _Nothing()
+        coupling = form.matrix[np.ix_(i, c)]
+        follows = np.asarray(block.solve(np.asfortranarray(coupling)))
+        carried = form.matrix[np.ix_(c, c)] - coupling.T @ follows
+        carried = 0.5 * (carried + carried.T)
+    if block is None:
+        block = form.factor(inner) if inner.any() else _Nothing()
+    areas = form.surface.nodal_areas / form.surface.area
     body = DeformableSurface(form.surface)
-    if not shared.any():
-        factor = block or form.factor(inner)
-        return _Part(
-            nodes, form, body, inner, shared, place[shared], factor, np.zeros((0, 0)), np.zeros((0, 0))
-        )
-    i, c = _dofs(np.flatnonzero(inner)), _dofs(np.flatnonzero(shared))
-    own = DenseFactor(form.matrix[np.ix_(i, i)])
-    coupling = form.matrix[np.ix_(i, c)]
-    follows = np.asarray(own.solve(np.asfortranarray(coupling)))
-    carried = form.matrix[np.ix_(c, c)] - coupling.T @ follows
-    return _Part(nodes, form, body, inner, shared, place[shared], own, follows, 0.5 * (carried + carried.T))
+    return _Part(nodes, form, body, inner, shared, places, owns, areas, block, follows, carried)
+
+
+class _Nothing:
+    """The factor of a part without inner nodes that are free."""
+
+    def solve(self, right_hand_side: Array) -> Array:
+        return right_hand_side
 
 
 def _turned_block(matrix: Array, q: Array) -> Array:

@@ -19,6 +19,7 @@ from vdm.solvers.linear import BorderedFactor
 MAX_ITERATIONS = 60
 HISTORY = 10
 FURTHEST = 3.0  # sizes of the body
+LONGEST = 0.1  # of that way: a correction by the state's own slope goes no further at once
 SMALLEST_SUBSTEP = 1.0 / 64.0
 # of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
 AS_ONE = 0.3
@@ -32,7 +33,7 @@ TOLERANCE = 1e-8
 VOLUME_TOLERANCE = 1e-13  # of |V - V0| / V0
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
-NOT_CONVERGED = "the nonlinear balance was not found{reached}, the load step halved six times"
+NOT_CONVERGED = "the nonlinear balance was not found beyond {reached:.0%} of this load step, halved six times"
 REMEDY = "use smaller load steps, a smaller load or a stiffer material; a body may snap through there"
 
 
@@ -64,6 +65,8 @@ class Large(Protocol):
     rest: Array  # (n, 3) [m]
     free: Mask  # (n,)
     n_pressures: int
+    # whether `correction` has the slope of the state itself, so that nothing is to be learnt of it
+    has_slope: bool
 
     def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
         """What a state lacks."""
@@ -84,7 +87,7 @@ class Large(Protocol):
         """By volume [Pa]."""
         ...
 
-    def reserved(self, status: Status) -> Status:
+    def reserved(self, status: Status, balance: Balance) -> Status:
         """The status of an answer, with what the body itself does not follow."""
         ...
 
@@ -97,6 +100,7 @@ class Whole:
     """A formulation's body as it is, with the factor at rest for its slope: one fluid, one pressure."""
 
     n_pressures = 1
+    has_slope = False
 
     def __init__(self, problem: Problem, factor: BorderedFactor) -> None:
         self.problem, self.factor = problem, factor
@@ -130,7 +134,7 @@ class Whole:
     def mean_pressure(self, pressure: Array) -> float:
         return float(pressure[0])
 
-    def reserved(self, status: Status) -> Status:
+    def reserved(self, status: Status, balance: Balance) -> Status:  # noqa: ARG002 - one body follows all it knows
         return status
 
     def scalars(self, balance: Balance) -> dict[str, float]:  # noqa: ARG002 - one body has no more to tell
@@ -176,10 +180,10 @@ class NonlinearSolver:
 
     V is the volume that the body keeps: the polyhedron's, but of the printed form.
 
-    The body's slope (`Large.correction`) turns what the balance lacks into a correction, and Anderson acceleration
-    mixes the corrections. A last shift closes the volumes to rounding. A load step starts from the last converged
-    one and is halved where it fails; nothing of a failed step is kept. Where the held nodes are moved, the body
-    starts carried along as they are, best fit by a rigid motion.
+    The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
+    slope of the state itself, Anderson acceleration mixes the corrections. A last shift closes the volumes to
+    rounding. A load step starts from the last converged one and is halved where it fails; nothing of a failed step
+    is kept. Where the held nodes are moved, the body starts carried along as they are, best fit by a rigid motion.
 
     Parameters
     ----------
@@ -269,7 +273,7 @@ class NonlinearSolver:
         )
         if not problem.force(load).any() and not problem.held_unknown(load).any():
             return step, found
-        step = replace(step, status=self.body.reserved(step.status))
+        step = replace(step, status=self.body.reserved(step.status, balance))
         # forces that cancel, as a pressure from all sides, move no more than their rounding, however large they are
         column = problem.formulation.columns.first
         acting = np.abs(problem.force(load)) + abs(step.pressure_change) * np.abs(column)
@@ -306,7 +310,6 @@ class NonlinearSolver:
         return last.x + share * (last.x - before.x), last.pressure + share * (last.pressure - before.pressure)
 
     def _failed(self, reached: float, iterations: int) -> Step:
-        told = f" beyond {reached:.0%} of this load step" if reached > 0.0 else ""
         surface, d = self.problem.formulation.surface, self.problem.formulation.components
         lost = np.full((surface.n_nodes, d), np.nan)
         return DeformedStep(
@@ -314,7 +317,7 @@ class NonlinearSolver:
             unknown=lost,
             border=np.full(self.factor.n_border, np.nan),
             iterations=iterations,
-            status=Status("not-converged", NOT_CONVERGED.format(reached=told), REMEDY),
+            status=Status("not-converged", NOT_CONVERGED.format(reached=reached), REMEDY),
             lacking=lost[self.problem.held_nodes],
             stored=np.nan,
         )
@@ -354,9 +357,16 @@ class NonlinearSolver:
             ):
                 return self._close_volume(load, balance, turn), iteration
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
+            x = x.copy()
+            if body.has_slope:
+                share = min(
+                    1.0, LONGEST * self.reach / max(float(np.abs(change).max()), np.finfo(float).tiny)
+                )
+                x[nodes] += share * change
+                pressure = pressure + share * pushed
+                continue
             iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
             mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
-            x = x.copy()
             x[nodes] = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn)
             pressure = mixed[-len(pressure) :] / unit
         return None, MAX_ITERATIONS
