@@ -134,4 +134,4 @@ def test_what_the_parts_do_not_follow_is_told() -> None:
     assert stretched.status[0].ok
     assert "follows small strain inside" in stretched.status[0].message
     assert not stretched.status[1].ok
-    assert "% of this load step" in stretched.status[1].message
+    assert " % of this load step" in stretched.status[1].message

@@ -333,7 +333,7 @@ class Parts:
         if strain > LARGEST_STRAIN:
             told.append(
                 (
-                    f"a part is strained by {strain:.0%}, and follows small strain inside",
+                    f"a part is strained by {100 * strain:.0f} %, and follows small strain inside",
                     "use finite elements of finite strain where the change of shape matters",
                 )
             )

@@ -33,7 +33,7 @@ TOLERANCE = 1e-8
 VOLUME_TOLERANCE = 1e-13  # of |V - V0| / V0
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
-NOT_CONVERGED = "the nonlinear balance was not found beyond {reached:.0%} of this load step, halved six times"
+NOT_CONVERGED = "the nonlinear balance was not found beyond {reached:.0f} % of this load step, halved six times"
 REMEDY = "use smaller load steps, a smaller load or a stiffer material; a body may snap through there"
 
 
@@ -317,7 +317,7 @@ class NonlinearSolver:
             unknown=lost,
             border=np.full(self.factor.n_border, np.nan),
             iterations=iterations,
-            status=Status("not-converged", NOT_CONVERGED.format(reached=reached), REMEDY),
+            status=Status("not-converged", NOT_CONVERGED.format(reached=100 * reached), REMEDY),
             lacking=lost[self.problem.held_nodes],
             stored=np.nan,
         )
