@@ -31,14 +31,15 @@ def test_the_stretches_of_a_surface_that_are_known() -> None:
 
 def test_a_rim_that_creases_is_named_and_ends_the_way_soon() -> None:
     body = mapped_box((2, 2, 2), lambda x: x)
-    problem = _problem(body, body.surface[:, 2] == 0.0)
+    # what solvers remember moves the end of the way: each begins anew
+    problem, other = (_problem(body, body.surface[:, 2] == 0.0) for _ in range(2))
     load = body.load(1.0 * body.facets_where(lambda x: x[:, 2] == 1.0))
     attempts = [attempt for _, attempt in problem.substeps([load])]
     last = [attempt for attempt in attempts if attempt.converged][-1]
     worst = most_compressed(problem.mesh, last.state.displacement * problem.mesh.mean_edge)
     assert worst.plane < BIOT
     assert attempts[-1].load_factor - last.load_factor >= 2.0**-5, "no shorter steps beyond Biot's stretch"
-    solution = problem.solve([load])
+    solution = other.solve([load])
     (status,) = solution.status
     x, y, z = 1e3 * worst.place
     assert f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm is compressed to {worst.least:.3f}" in status.message
