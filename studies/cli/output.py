@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..machine.files import json_text
 from ..machine.streams import harmless
+from ..study.errors import plural
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,7 +59,7 @@ def taken(plan: Mapping[str, Any]) -> str:
     try:
         spent = plan["taken"]
         return (
-            f"took {spent['seconds']:.0f} s with {count(spent['jobs'], 'job')}: "
+            f"took {spent['seconds']:.0f} s with {plural(spent['jobs'], 'job')}: "
             f"{spent['processor_seconds']:.0f} s of processor"
         )
     except (KeyError, TypeError, ValueError):
@@ -139,7 +140,3 @@ def complain_of_failures(run: Run) -> None:
     for failure in run.failed:
         remedy = f"; {failure['remedy']}" if failure["remedy"] else ""
         complain(f"failed: {failure['label']}: {failure['message']}{remedy}", FAILED)
-
-
-def count(number: int, singular: str, plural: str | None = None) -> str:
-    return f"{number} {singular if number == 1 else plural or singular + 's'}"

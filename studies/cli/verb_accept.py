@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 
+from ..study.errors import plural
 from .arguments import BASELINE, RUN, option
-from .output import OK, count, print_json
+from .output import OK, print_json
 from .studies import baseline_of
 
 SUMMARY = "make a run's accuracy the baseline"
@@ -26,5 +27,5 @@ def run(options: argparse.Namespace) -> int:
     baseline = accept(run, path, options.reason)
     if options.json:
         return print_json({"baseline": str(path), "cases": len(baseline.cases), "reason": baseline.reason})
-    print(f"accepted {count(len(baseline.cases), 'case')}: {path}")
+    print(f"accepted {plural(len(baseline.cases), 'case')}: {path}")
     return OK

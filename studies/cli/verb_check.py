@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 
+from ..study.errors import plural
 from .arguments import CHANGES, STUDY_READS, study_argument
-from .output import OK, USAGE, count, print_json
+from .output import OK, USAGE, print_json
 from .studies import check_files, load, make_plan
 
 SUMMARY = "validate a study without running it"
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
         return print_json(
             {"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected, "warnings": told}
         )
-    print(f"{path}: ok, {count(len(plan.cases), 'case')}")
+    print(f"{path}: ok, {plural(len(plan.cases), 'case')}")
     for problem in doubts:
         print(f"warning: {problem}")
     for line in expected:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 
+from ..study.errors import plural
 from .arguments import PLANS
-from .output import OK, count, folded, print_json
+from .output import OK, folded, print_json
 from .studies import check_files, load, make_plan, require_own
 
 SUMMARY = "say what a run would do"
@@ -28,7 +29,7 @@ def run(options: argparse.Namespace) -> int:
         return print_json(planned)
     print(
         folded(
-            f"{study.study.title}: {count(len(planned['cases']), 'case')} of {', '.join(study.study.models)}"
+            f"{study.study.title}: {plural(len(planned['cases']), 'case')} of {', '.join(study.study.models)}"
         )
     )
     if study.study.reference is None:
@@ -37,8 +38,8 @@ def run(options: argparse.Namespace) -> int:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
     states = Counter(case["state"] for case in planned["cases"])
     print(f"in {plan.directory}: {', '.join(f'{number} {state}' for state, number in states.items())}")
-    meshes = count(planned["meshes_to_make"], "mesh", "meshes")
-    print(f"to run: {count(planned['cases_to_run'], 'case')}, {meshes}")
+    meshes = plural(planned["meshes_to_make"], "mesh", "meshes")
+    print(f"to run: {plural(planned['cases_to_run'], 'case')}, {meshes}")
     for kind in ("needed", "skipped", "refused"):
         for line in planned[kind]:
             print(folded(f"{'will be refused' if kind == 'refused' else kind}: {line}"))

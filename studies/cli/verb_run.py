@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 
+from ..study.errors import plural
 from .arguments import PLANS, flag, option, positive_seconds, shard, size_in_bytes
-from .output import FAILED, complain, count, print_run
+from .output import FAILED, complain, print_run
 from .studies import load, make_plan, require_own, run_missing, study_text
 
 SUMMARY = "run what is missing and write the report"
@@ -49,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     code = print_run(run, plan.directory, report, options.json)
     stopped = options.fail_fast and run.failed  # before it came to all
     if lost := [] if stopped else lost_cases(plan, options.shard, run):
-        told = f"no longer in {plan.directory}: {count(len(lost), 'case')} of this run, first {lost[0]}"
+        told = f"no longer in {plan.directory}: {plural(len(lost), 'case')} of this run, first {lost[0]}"
         complain(f"{told}; run the same again", FAILED)
         return code or FAILED
     return code

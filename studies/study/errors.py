@@ -165,6 +165,11 @@ def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = Tru
     return f"unknown {what} {shown(value)}" + (f"; known: {', '.join(known) or 'none'}" if list_all else "")
 
 
+def plural(count: int, noun: str, several: str = "") -> str:
+    """`3 cases`, `1 case`."""
+    return f"{count} {noun if count == 1 else several or noun + 's'}"
+
+
 def listed(keys: set[str]) -> str:
     """Keys in a sentence, sorted."""
     return " and ".join(sorted(keys)) if len(keys) < 3 else ", ".join(sorted(keys))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 
+from ..study.errors import plural as plural
+
 NOT_MEASURED = "not measured"
 NOTHING = "–"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -126,11 +128,6 @@ def swept_value(value: float | str, unit: str) -> str:
         return value
     factor, shown = scale_of(unit, [float(value)])
     return f"{value / factor:.6g} {shown}".strip().replace("-", _MINUS)
-
-
-def plural(count: int, noun: str) -> str:
-    """`3 cases`, `1 case`."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def listed(items: Iterable[str]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from .. import models
 from ..scene.regions import body_extent, lies_outside, origin
 from ..study.config import holds_nothing
-from ..study.errors import Finding
+from ..study.errors import Finding, plural
 from ..study.files import swept_without_folders, told_directory
 from ..study.registry import DISPLACEMENT_ELEMENTS, lacks, split
 from ..study.schema import extras_for
@@ -77,7 +77,7 @@ def _needed(todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
     lines = []
     meshes = {case.mesh for case in todo}
     if todo:
-        lines.append(f"{_count(len(meshes), 'mesh', 'meshes')} for {_count(len(todo), 'case')}")
+        lines.append(f"{plural(len(meshes), 'mesh', 'meshes')} for {plural(len(todo), 'case')}")
     for name, level in dict.fromkeys((body.name, body.level) for body in work):
         own = [body for body in work if (body.name, body.level) == (name, level)]
         solves = sum(len(asked.factors) for body in own for asked in body.asked)
@@ -87,13 +87,13 @@ def _needed(todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
             for case in (part for one in todo for part in one.parts)
             if any((w.name, w.level) == (name, level) and keys.intersection(w.answers) for w in case.wanted)
         )
-        where = f", refined {_count(level, 'time')} for its error bar" if level else ""
+        where = f", refined {plural(level, 'time')} for its error bar" if level else ""
         lines.append(
-            f"{name}{where}: {_count(len(own), 'set-up')} and {_count(solves, 'solve')} "
-            f"for {_count(steps, 'load step')}"
+            f"{name}{where}: {plural(len(own), 'set-up')} and {plural(solves, 'solve')} "
+            f"for {plural(steps, 'load step')}"
         )
     if varied := max((len(case.variations) for case in todo), default=0):
-        lines.append(f"{_count(varied, 'variation')} of each case for what is not known of its inputs")
+        lines.append(f"{plural(varied, 'variation')} of each case for what is not known of its inputs")
     if any(case.limits for case in todo):
         lines.append("small-strain limits: a load that is tried serves all models and thresholds")
     return lines
@@ -112,19 +112,19 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
     states = list(plan.state.values())
     done = len({case.hash for case in plan.cases if plan.is_done(case)})
     if done:
-        lines.append(f"{_count(done, 'case')}: already in the run directory")
+        lines.append(f"{plural(done, 'case')}: already in the run directory")
     if "stale" in states and not plan.fresh:
         lines.append(
-            f"solving {_count(states.count('stale'), 'stale case')} again: only the metrics have changed"
+            f"solving {plural(states.count('stale'), 'stale case')} again: only the metrics have changed"
         )
     cached = len(plan.meshes) - len(plan.missing_meshes(plan.cases))
     if cached:
-        lines.append(f"{_count(cached, 'mesh', 'meshes')}: already in the cache")
+        lines.append(f"{plural(cached, 'mesh', 'meshes')}: already in the cache")
     for name in plan.study.study.models:
         wants = [want for case in todo for part in case.parts for want in part.wanted if want.name == name]
         there = sum(all(plan.has(answer_path(plan.cache, key)) for key in want.answers) for want in wants)
         if there:
-            lines.append(f"{name}: {there} of {_count(len(wants), 'result')} from answers in the cache")
+            lines.append(f"{name}: {there} of {plural(len(wants), 'result')} from answers in the cache")
     return lines
 
 
@@ -185,7 +185,3 @@ def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[Finding]:
         for low, high in [(body.low - start, body.high - start)]
         if lies_outside(case.study.regions[name], low - body.reach, high + body.reach)
     ]
-
-
-def _count(number: int, singular: str, plural: str | None = None) -> str:
-    return f"{number} {singular if number == 1 else plural or singular + 's'}"
