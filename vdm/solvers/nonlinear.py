@@ -33,7 +33,9 @@ TOLERANCE = 1e-8
 VOLUME_TOLERANCE = 1e-13  # of |V - V0| / V0
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
-NOT_CONVERGED = "the nonlinear balance was not found beyond {reached:.0f} % of this load step, halved six times"
+NOT_CONVERGED = (
+    "the nonlinear balance was not found beyond {reached:.0f} % of this load step, halved six times"
+)
 REMEDY = "use smaller load steps, a smaller load or a stiffer material; a body may snap through there"
 
 
