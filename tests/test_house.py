@@ -45,7 +45,7 @@ ROOMS = (
     "gate",
     "bench",
     "calibrate",
-    "evidence",
+    "claims",
     "cli",
 )
 MOST_FLOORS = 8

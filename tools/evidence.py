@@ -468,6 +468,45 @@ def performance(name: str, arguments: Sequence[str]) -> None:
     show(ROOT / own["document"], own["part"], f"{machine}; the {own['body']}.\n\n{of_one}")
 
 
+# --- docs/evidence/claims.md ---
+
+
+def claims(name: str, arguments: Sequence[str]) -> None:
+    """The grid of the paper's claims, measured anew, or of claims that are named by number; a table of each."""
+    import pandas as pd
+
+    from vdmbench.claims import measure, read_points, write_points
+    from vdmbench.machine.places import cache_directory
+
+    own = EVIDENCE[name]
+    points = measure(cache_directory(), map(int, arguments), lambda case: print(case, file=sys.stderr))
+    if arguments:
+        old = read_points(ROOT / own["points"])
+        points = pd.concat([old[~old["claim"].isin(map(int, arguments))], points])
+        points = points.sort_values("claim", kind="stable", ignore_index=True)
+    write_points(points, ROOT / own["points"])
+    show_claims(name)
+
+
+def show_claims(name: str = "claims") -> None:
+    """The page from what was measured: a line for each claim, then its words and rows."""
+    from vdmbench.claims import DATA, judge, read_points, table_of, table_of_claims, title, told
+
+    own = EVIDENCE[name]
+    rows = judge(read_points(ROOT / own["points"]))
+    lines = table_of_claims(rows)
+    show(ROOT / own["document"], own["part"], table(list(lines[0]), [list(line.values()) for line in lines]))
+    shown_by = {path.stem: tomllib.loads(path.read_text())["study"] for path in sorted(CASES.glob("*.toml"))}
+    text = ""
+    for number in range(1, len(DATA["claims"]) + 1):
+        studies = [f"`{study}`" for study, keys in shown_by.items() if number in keys.get("claims", ())]
+        words = [*told(number), *([f"Shipped studies: {', '.join(studies)}"] if studies else [])]
+        lines = table_of(number, rows)
+        text += f"\n### {title(number)}\n\n" + "".join(f"- {line.replace('<', '&lt;')}\n" for line in words)
+        text += "\n" + table(list(lines[0]), [list(line.values()) for line in lines])
+    show(ROOT / own["document"], own["rows"], text)
+
+
 def main(arguments: Sequence[str]) -> None:
     """Make the table that is named; further arguments are its own."""
     if not arguments or arguments[0] not in EVIDENCE:

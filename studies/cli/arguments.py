@@ -29,6 +29,7 @@ VERBS = (  # in the order in which they are told
     "gate",
     "accept",
     "bench",
+    "claims",
     "schema",
 )
 

@@ -165,10 +165,10 @@ def _print(
 def _judge(options: argparse.Namespace) -> int:
     """Run what is missing of the study, and put the file's result beside its models."""
     from ..body.mesh_cache import mesh_from_cache
-    from ..evidence.judge_foreign import judged
     from ..measures.foreign import read_foreign
     from ..report.page import write_report
     from ..study.kinds import safe_name
+    from ..work.judge_foreign import judged
 
     if len(options.directories) != 1:
         raise UsageError("with --result give one study")

@@ -247,7 +247,7 @@ class Geometry(_ShapedBody):
 
 Vdm = dict[str, float | str]
 
-CLAIMS = 9  # that the paper makes of its model
+CLAIMS = 14  # of the paper, see `vdmbench.claims`
 MOST_STEPS = 10_000  # of a load history: each keeps the displacement of every node
 MOST_NAMES = 200  # of models, regions, constraints
 MOST_LEVELS = 4  # of meshes that a reference's error bar is from
@@ -277,7 +277,7 @@ class StudyInfo(Table):
         tuple[int, ...],
         number_check(lambda v: 1 <= v <= CLAIMS, f"must be 1 to {CLAIMS}"),
         Enters.NOTHING,
-    ] = Field((), description="numbers of the paper's claims that the study puts on trial", strict=False)
+    ] = Field((), description="numbers of the paper's claims that the study shows", strict=False)
     condition: bool = Field(
         False, description="whether the models estimate the condition of the system that they solve"
     )

@@ -232,12 +232,3 @@ def test_a_model_is_not_run_where_the_strain_says_nothing(start: float) -> None:
 
     model_limits(LoadPath(evaluate, start), "m", (0.05,))
     assert 3.0 < max(asked) <= MOST_STRAIN
-
-
-def test_a_crossing_of_one_model_helps_the_next() -> None:
-    body = Body()
-    path = LoadPath(body, 1.0)
-    model_limits(path, "m", (0.05,))
-    evaluations = len(body.loads)
-    model_limits(path, "m", (0.05,))
-    assert len(body.loads) == evaluations

@@ -17,7 +17,6 @@ from vdmbench.calibrate import training
 from vdmbench.measures.input_spread import Propagation
 from vdmbench.measures.measurement import FORCE, Measurement, Quantity, hold_against
 from vdmbench.measures.pushed import Answer
-from vdmbench.report.section_measurement import against_measurement
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import verdicts
 
@@ -159,21 +158,9 @@ def curve_found() -> Measurement:
     return Measurement(rows, simulated, dict.fromkeys(simulated, nothing), {"press": "a scale"})
 
 
-def test_section_and_verdict_tell_of_forces() -> None:
+def test_the_verdict_has_each_model_against_its_forces() -> None:
     case = dataclasses.replace(make_case({"vdm-paper": 0.1}), measurement=curve_found())
-    digest = Digest(make_run([case]))
-    section = against_measurement(digest)
-    assert section is not None
-    summary, figures, details = (block for block in section.blocks if type(block).__name__ != "Text")
-    assert [cell.text for cell in summary.rows[0][:3]] == ["vdm-paper", "1 of 2", "213 mN"]
-    remains = [column.title for column in summary.columns].index("Remains")
-    assert summary.rows[0][remains].text == "250 mN", "0.3 N less u_val"
-    assert [row[0].text for row in details.rows] == [
-        "force of finger at 1.00 mm",
-        "force of finger at 2.00 mm",
-    ]
-    assert "measured (bars: ± u_D) and simulated" in figures.figures[0].title
-    own, paper = verdicts(digest).measured
+    own, paper = verdicts(Digest(make_run([case]))).measured
     assert (own.model, own.shares, own.values) == ("fem-linear", {"N": 0.0}, 1)
     assert (paper.model, paper.within, paper.values) == ("vdm-paper", 1, 2)
     assert_allclose(paper.shares["N"], np.hypot(0.02, 0.3) / np.hypot(0.2, 0.5), rtol=1e-12)

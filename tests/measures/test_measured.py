@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from pathlib import Path
 
@@ -11,20 +10,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.command import vdmbench
-from tests.example_case import example_measurement
-from tests.report.runs import icosphere, make_case, make_run
+from tests.report.runs import icosphere
 from vdmbench.body.mesh import Mesh
 from vdmbench.measures.measurement import MOST, RMS, hold_against, step_rms
 from vdmbench.measures.pushed import Answer
-from vdmbench.report.section_measurement import against_measurement
 from vdmbench.scene.measured_points import place_measured
 from vdmbench.scene.scene import SceneError
 from vdmbench.study.config import Study, StudyError, expand, load_study, resolved
 from vdmbench.study.measured import MeasuredFileError, read_measured
-from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.verdict import verdicts
-from vdmbench.verdict.words import MEASURED, ON_TERMINAL, SURE
-from vdmbench.verdict.words import told as told_of
 
 STUDY = """\
 [study]
@@ -181,44 +174,6 @@ def test_a_measured_surface_is_as_far_as_it_is(tmp_path: Path) -> None:
         assert_allclose(found.simulated["m"], outward, rtol=1e-6, atol=1e-15)
         assert found.within("m").all() == (outward == 0.0)
         assert np.isnan(found.simulated["lost"]).all()
-
-
-def test_the_section_shows_every_quantity_and_what_remains() -> None:
-    case = make_case({"vdm-paper": 0.5}, steps=(0.25, 0.5, 1.0), reference="fem:direct")
-    case = dataclasses.replace(case, measurement=example_measurement())
-    section = against_measurement(Digest(make_run([case])))
-    assert section is not None
-    summary, figures, details = (block for block in section.blocks if type(block).__name__ != "Text")
-    heads = [column.title for column in summary.columns]
-    rows = {row[0].text: dict(zip(heads, [cell.text for cell in row], strict=True)) for row in summary.rows}
-    assert rows["vdm-paper"]["Within u_val"] == "1 of 2"
-    assert rows["vdm-paper"]["Remains"] == "1.00 mm", "2 mm off a surface known to 1 mm"
-    assert [rows["vdm-paper"][part] for part in ("u_input", "u_D")] == ["200 µm", "100 µm"]
-    assert "u_num" not in heads, "known of no model here"
-    assert rows["COMSOL"]["u_input"] == "–"
-    assert rows["fem:direct"]["Within u_val"] == "no answer"
-    assert [row[0].text for row in details.rows] == ["tip <1> z at 1", "rms distance at 1"]
-    assert "<svg" in figures.figures[0].svg
-    assert against_measurement(Digest(make_run([make_case({"vdm-paper": 0.5})]))) is None
-
-
-def test_the_verdict_tells_what_a_measurement_says() -> None:
-    """-6.45 mm of -6.5 mm is 0.77 % off; it is one of two values, the other is a distance of a whole surface."""
-    case = make_case({"vdm-paper": 0.05}, steps=(0.25, 0.5, 1.0), reference="fem:direct")
-    without = "Nothing here was compared with an experiment."
-    for measurement in (None, example_measurement()):
-        run = make_run([dataclasses.replace(case, measurement=measurement)])
-        told = told_of(verdicts(Digest(run))).further
-        (sure,) = (" ".join(answer.sentences) for answer in told if answer.question == SURE)
-        assert (without in sure) == (measurement is None)
-        assert [answer.question for answer in told].count(MEASURED) == (measurement is not None)
-    assert sure.endswith("All other errors are differences between computations.")
-    (said,) = (answer.sentences for answer in told if answer.question == MEASURED)
-    assert said == [
-        "Against measurement in 1 case: vdm-paper is 0.77 % off (root mean square), within the validation "
-        "uncertainty in 1 of 2 values."
-    ]
-    assert MEASURED in ON_TERMINAL
 
 
 def test_a_fifo_is_no_table_and_is_not_waited_for(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from ..measures.pushed import Answer
 from ..scene.result import ModelResult
 from ..scene.scene import build_scene
 from ..study.schema import Study
-from ..work.case import Block, compare
+from .case import Block, compare
 
 NO_STEP = Status("not-given", "the file holds the largest load only", "")
 

@@ -1,0 +1,783 @@
+"""The paper's claims on trial: what each says, in how many cases of a grid it holds, and the word that follows.
+
+In: `claims.toml`, which has the claims as printed, the rules, and the grid of bodies, meshes and materials. Out: a
+frame of points, one for each row of a claim and case, with value, bar and whether the row holds; tables of words.
+
+A rule is one function from a case of the grid to points. What it measures is the rule's; limits are data.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import time
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import sparse
+from scipy.optimize import least_squares
+from scipy.sparse.linalg import splu
+
+from solver_common.arrays import Array
+from vdm.constraints import Load
+from vdm.material import Parameters
+from vdm.model import Model as Vdm
+from vdm.surface import SurfaceMesh
+
+from .body.mesh_cache import mesh_from_cache
+from .body.refine import refined
+from .body.surface_measures import Surface, relative_l2, relative_l2_steps, weighted_norm
+from .measures.metrics import History as Moved
+from .measures.metrics import along, volume_drift_of_displaced
+from .measures.reference import level_scene, restricted
+from .measures.uncertainty import estimate_error
+from .models import Prepared, run_model
+from .models.frames import frame_times, growth_exponent
+from .scene.result import ModelResult
+from .scene.scene import Scene, build_scene
+from .study.config import geometry_of
+from .study.files import merged
+from .study.schema import Anisotropy, Study
+from .verdict.formatting import plain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+HOLDS, WITHIN_LIMITS, FAILS, MIXED, OPEN = "holds", "holds within limits", "fails", "mixed", "undecided"
+COLUMNS = ("claim", "row", "body", "mesh", "poisson_ratio", "model", "setting", "value", "bar", "floor")
+SMALL_STRAIN = 0.10
+STEPS, MANY_STEPS = 20, 100
+DERIVED = ("vdm-consistent:nonlinear", "vdm-vector:nonlinear")
+TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)  # of warm starts
+LENGTHS = (10, 100, 1000)  # of load histories
+RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)  # of B to B_ij, over that of the rule
+CONTRAST = 4.0  # of fibres
+TINY = 1e-7  # largest displacement over the body's extent at which all solvers are linear
+AS_PRINTED: dict[str, float | str] = {"volume_row": "printed"}
+CORRECTED: dict[str, float | str] = {"volume_row": "corrected"}
+WIDEST = math.log(1e5)  # of a fitted modulus over its rule
+FINER = 1.6  # mesh size over that of the second mesh of an exponent
+FILLED = 0.4999  # Poisson's ratio of the elements whose own drift of volume is a floor
+
+DATA: dict[str, Any] = tomllib.loads(files("vdmbench").joinpath("claims.toml").read_text(encoding="utf-8"))
+
+
+History = Sequence[float] | Array  # of load factors
+Given = Mapping[str, float | str]  # parameters of [vdm]
+NOTHING: Given = {}
+
+
+def equal_steps(count: int) -> Array:
+    """(count,) load factors up to one."""
+    return np.arange(1, count + 1) / count
+
+
+@dataclass(frozen=True)
+class Point:
+    """One row of a claim in one case.
+
+    Attributes
+    ----------
+    bar : of the value, from the reference's own error
+    model, setting : what tells it from others of the row in that case; "key = value", several after semicolons
+    floor : a limit of this case alone, where it is wider than the row's
+    """
+
+    row: str
+    value: float
+    bar: float = 0.0
+    model: str = ""
+    setting: str = ""
+    floor: float = math.nan
+
+
+class Place:
+    """A case of the grid: a body on a mesh with a material, and what models answer there, each once."""
+
+    def __init__(
+        self, body: str, mesh: str, poisson_ratio: float, cache: Path, finer_by: float = 1.0
+    ) -> None:
+        grid = DATA["grid"]
+        own = grid["bodies"][body]
+        size = own["mesh_size"][grid["meshes"].index(mesh)] / finer_by
+        changes = {
+            "geometry": own["geometry"] | {"mesh_size": size},
+            "regions": own["regions"],
+            "tissue": {"poisson_ratio": poisson_ratio},
+        }
+        self.body, self.mesh_name, self.poisson_ratio, self.cache = body, mesh, poisson_ratio, cache
+        self.study = Study.model_validate(merged(grid["study"], changes))
+        self._answers: dict[tuple[Any, ...], ModelResult] = {}
+        self.others: dict[tuple[float, float], Place] = {}
+
+    def other(self, *, poisson_ratio: float | None = None, finer_by: float = 1.0) -> Place:
+        """The same body of another material, or on a finer mesh; itself where nothing differs."""
+        ratio = self.poisson_ratio if poisson_ratio is None else poisson_ratio
+        if (ratio, finer_by) == (self.poisson_ratio, 1.0):
+            return self
+        if (ratio, finer_by) not in self.others:
+            self.others[ratio, finer_by] = Place(self.body, self.mesh_name, ratio, self.cache, finer_by)
+        return self.others[ratio, finer_by]
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Its scene, with `STEPS` equal steps to the full load."""
+        return build_scene(self.study, mesh_from_cache(geometry_of(self.study), self.cache))
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Its surface at rest, under its loads."""
+        plain_surface = Surface(self.scene.mesh.surface_points, self.scene.mesh.triangles)
+        return plain_surface.under(self.scene.contact, self.scene.contact_force)
+
+    def answer(self, name: str, history: History | None = None, given: Given = NOTHING) -> ModelResult:
+        """What a model answers to load factors (the scene's own by default), with parameters of [vdm]."""
+        key = (name, None if history is None else tuple(history), *sorted(given.items()))
+        if key not in self._answers:
+            scene = dataclasses.replace(self.scene, parameters=given)
+            if history is not None:
+                scene = dataclasses.replace(scene, load_factors=np.asarray(history, dtype=float))
+            self._answers[key] = run_model(scene, name)
+        return self._answers[key]
+
+    @property
+    def strain(self) -> Array:
+        """(S,) strain of the reference that 95 % of the volume stays below."""
+        return np.asarray(self.answer("fem").scalars["p95_principal_strain"])
+
+    def errors(self, name: str) -> Array:
+        """(S,) displacement error of a model against finite strain over the scene's history; NaN where it stops."""
+        u, r = self.answer(name).displacement, self.answer("fem").displacement
+        return relative_l2_steps(u, r, self.surface.areas)
+
+    def end(self, name: str, steps: int, given: Given = NOTHING) -> Array:
+        """(N, 3) what a model lacks of finite strain at full load, after equal steps; NaN where it stops."""
+        u = self.answer(name, equal_steps(steps), given).displacement[-1]
+        return np.asarray(u - self.answer("fem").displacement[-1])
+
+    def size(self, error: Array, *, normal: bool = False) -> float:
+        """Such an error over the displacement, or over its normal component; inf where it is not known."""
+        true = self.answer("fem").displacement[-1]
+        if normal:
+            error, true = (along(field[None], self.surface.normals)[0] for field in (error, true))
+        size = weighted_norm(error, self.surface.areas) / weighted_norm(true, self.surface.areas)
+        return size if math.isfinite(size) else math.inf
+
+    def drift(self, name: str, given: Given = NOTHING, load: float = 1.0) -> Array:
+        """(S,) volume that a model gains or loses over what it displaces, as a size; inf where it stops."""
+        history = load * self.scene.load_factors
+        found = self.answer(name, history, given)
+        moved = Moved(found.displacement, found.reaction_force, history)
+        drift = np.abs(volume_drift_of_displaced(self.surface, moved))
+        return np.where(np.isfinite(drift), drift, np.inf)
+
+    def turned(self, one: Array, other: Array) -> float:
+        """Length of the difference of two errors (N, 3), each taken with a length of one.
+
+        The reference's own error moves an error by its part along it, and the difference of two by so much of it.
+        """
+        sizes = [weighted_norm(error, self.surface.areas) for error in (one, other)]
+        if not all(math.isfinite(size) and size > 0.0 for size in sizes):
+            return 0.0
+        return weighted_norm(one / sizes[0] - other / sizes[1], self.surface.areas)
+
+    @cached_property
+    def bar(self) -> float:
+        """The reference's own error (GCI): of linear elements on this mesh and on one refinement of it."""
+        hierarchy = refined(self.scene.mesh, 1)
+        fine = restricted(
+            run_model(_at_full_load(level_scene(self.study, hierarchy)), "fem-linear"), hierarchy
+        )
+        coarse = self.answer("fem-linear", (1.0,))
+        difference = relative_l2(coarse.displacement[-1], fine.displacement[-1], self.surface.areas)
+        return estimate_error([difference]).gci
+
+
+def _at_full_load(scene: Scene) -> Scene:
+    return dataclasses.replace(scene, load_factors=np.ones(1))
+
+
+def _at_small_strain(values: Array, strain: Array) -> float:
+    """(S,) values at a strain of 10 %, between the steps around it; NaN where the load does not reach it."""
+    return float(np.interp(SMALL_STRAIN, strain, values)) if strain.max() >= SMALL_STRAIN else math.nan
+
+
+# --- the rules ---
+
+Rule = Callable[[Place], Iterator[Point]]
+RULES: list[Rule] = []
+# what a rule measures does not depend on Poisson's ratio: it is tried with the last one of the grid alone
+OF_ONE_MATERIAL: set[Rule] = set()
+
+
+CONDENSED = "frame of a contact, both condensed"
+
+
+def rule(function: Rule) -> Rule:
+    """Register the rule of the next claim of `claims.toml`."""
+    RULES.append(function)
+    return function
+
+
+@rule
+def volume(place: Place) -> Iterator[Point]:
+    """1: drift of the exact volume, each solver in the loads that the paper gives it."""
+    every = "every printed solver in its range"
+    within = place.strain <= SMALL_STRAIN
+    elements = place.other(poisson_ratio=FILLED)
+    floor = float(elements.drift("fem").max())
+    drift = place.drift("vdm-paper")
+    for row, steps in (
+        (every, within),
+        ("(28), linear, strain below 10 %", within),
+        ("(28), linear, beyond", ~within),
+    ):
+        if steps.any():
+            yield Point(row, drift[steps].max(), model="vdm-paper", floor=floor)
+    for row, name, given, printed in (
+        ("(33) as printed, quasi-linear", "vdm-paper:quasi-linear", AS_PRINTED, True),
+        ("(33) as printed, Figure 8", "vdm-paper:figure-8", AS_PRINTED, True),
+        ("sum of A_i L_i, nonlinear", "vdm-paper:nonlinear", NOTHING, True),
+        ("(33) corrected, quasi-linear", "vdm-paper:quasi-linear", CORRECTED, False),
+        *(("exact volume, derived nonlinear", name, NOTHING, False) for name in DERIVED),
+    ):
+        for told in (row, every) if printed else (row,):
+            yield Point(told, place.drift(name, given).max(), model=name, floor=floor)
+    if elements is place:
+        yield Point("mixed elements of 0.4999 themselves", floor, model="fem")
+
+
+@rule
+def linear_range(place: Place) -> Iterator[Point]:
+    """2: what linear elements, and the printed model, are off where the strain is 10 %."""
+    elements, printed = place.errors("fem-linear"), place.errors("vdm-paper")
+    largest = np.asarray(place.answer("fem").scalars["max_principal_strain"])
+    off = _at_small_strain(printed, place.strain)
+    for row, value, bar in (
+        ("linear elements at a strain of 10 %", _at_small_strain(elements, place.strain), 0.0),
+        (
+            "linear elements, largest strain of any point 10 %",
+            _at_small_strain(elements, largest),
+            0.0,
+        ),
+        ("printed model, error at a strain of 10 %", off, place.bar),
+        ("printed model, growth of its error up to there", off - printed[0], 0.0),
+    ):
+        if math.isfinite(value):
+            yield Point(row, value, bar)
+
+
+@rule
+def complexity(place: Place) -> Iterator[Point]:
+    """3: unknowns, numbers in the matrix, set-up and frame of mixed elements over those of the printed model."""
+    fine = place.other(finer_by=FINER)
+    own, finer = _amounts(place.scene), _amounts(fine.scene)
+    yield Point(CONDENSED, own[CONDENSED][1] / own[CONDENSED][0])
+    for quantity in (quantity for quantity in own if quantity != CONDENSED):
+        printed, elements = own[quantity]
+        for row in ("elements over printed, each quantity", quantity):
+            yield Point(row, elements / printed, setting=f"quantity = {quantity}")
+        slopes = [
+            growth_exponent(np.array([1.0, FINER]), np.array(ends))
+            for ends in zip(own[quantity], finer[quantity], strict=True)
+        ]
+        yield Point(f"exponents over 1/h, less: {quantity}", slopes[1] - slopes[0])
+    # elements on the coarser mesh are as close as the printed model on the finer one, or are not
+    u, r = (fine.answer(name, (1.0,)).displacement[-1] for name in ("vdm-paper", "fem-linear"))
+    off = relative_l2(u, r, fine.surface.areas)
+    alike = own if place.bar <= off else finer
+    for row, quantity in (("unknowns", "unknowns"), ("frame", "frame, all nodes")):
+        yield Point(f"at equal error, {row}", alike[quantity][1] / finer[quantity][0])
+
+
+OF_ONE_MATERIAL.add(complexity)
+
+
+def _amounts(scene: Scene) -> dict[str, tuple[float, float]]:
+    """Quantity -> of the printed model, of mixed linear elements."""
+    from fem_reference.linear import LinearProblem
+
+    printed = _printed(scene, _rule_of(scene))
+    body = scene.mesh
+    elements = LinearProblem(
+        body.points,
+        body.tetrahedra,
+        body.surface_nodes,
+        body.triangles,
+        youngs_modulus=scene.tissue.youngs_modulus,
+        poisson_ratio=scene.tissue.poisson_ratio,
+        held=scene.held,
+    ).system
+    times = frame_times(scene, ("vdm-paper", "fem-linear"), rounds=3, budget=20.0)
+    numbers = elements.stiffness.nnz + (2 * elements.divergence.nnz if elements.divergence is not None else 0)
+    seconds = {
+        told: tuple(float(np.nanmedian(getattr(times[name], kind))) for name in ("vdm-paper", "fem-linear"))
+        for told, kind in (
+            ("set-up", "setup"),
+            ("frame, all nodes", "everywhere"),
+            (CONDENSED, "contact"),
+        )
+    }
+    return {
+        "unknowns": (float((~scene.held).sum() + 1), float(elements.size)),
+        "numbers in the matrix": (float(printed.formulation.state_matrix().nnz), float(numbers)),
+        **{told: (one, other) for told, (one, other) in seconds.items()},
+    }
+
+
+def _printed(scene: Scene, parameters: Parameters, **options: Any) -> Vdm:
+    mesh = scene.mesh
+    return Vdm(mesh.surface_points, mesh.triangles, parameters, fixed=scene.fixed, **options)
+
+
+def _rule_of(scene: Scene) -> Parameters:
+    surface = SurfaceMesh(scene.mesh.surface_points, scene.mesh.triangles)
+    return Parameters.from_tissue(scene.tissue.youngs_modulus, surface, "paper")
+
+
+@rule
+def small_steps(place: Place) -> Iterator[Point]:
+    """4: error at full load after 100 steps, and what they gain over one."""
+    for solver in ("quasi-linear", "nonlinear", "figure-8", "incremental"):
+        name, given = f"vdm-paper:{solver}", AS_PRINTED if solver == "quasi-linear" else NOTHING
+        one, many = (place.end(name, steps, given) for steps in (1, MANY_STEPS))
+        form = (
+            "incremental form" if solver == "incremental" else "total form: quasi-linear, nonlinear, Figure 8"
+        )
+        for row in ("printed form, 100 steps", form):
+            yield Point(row, place.size(many), place.bar, name)
+        yield Point("normal component, 100 steps", place.size(many, normal=True), place.bar, name)
+        gain = place.size(one) - place.size(many)
+        bar = place.bar * place.turned(one, many)
+        yield Point(
+            "error of one step less that of 100", gain if math.isfinite(gain) else -math.inf, bar, name
+        )
+    for name in DERIVED:
+        yield Point("derived forms, 100 steps", place.size(place.end(name, MANY_STEPS)), place.bar, name)
+
+
+@rule
+def warm_start(place: Place) -> Iterator[Point]:
+    """5: iterations of BiCG from zero over those from the last solution."""
+    best, load = -math.inf, Load(place.scene.contact_pressure)
+    for stiff, tolerance in itertools.product((1.0, 10.0), TOLERANCES):
+        rest = _rule_of(place.scene)
+        moduli = dataclasses.replace(rest, connectivity_modulus=stiff * np.asarray(rest.connectivity_modulus))
+        solver = _printed(place.scene, moduli, solver="bicg", tolerance=tolerance).solver
+        # the system is linear: from zero every step takes the iterations of the first
+        once = solver.step(load).iterations
+        for steps in LENGTHS if place.mesh_name == DATA["grid"]["meshes"][0] else LENGTHS[:2]:
+            taken, last = 0, None
+            for step in range(1, steps + 1):
+                last = solver.step(load.scaled(step / steps), last)
+                taken += last.iterations
+            gain = once * steps / taken
+            best = max(best, gain)
+            setting = f"tolerance = {tolerance:g}; steps = {steps}; B_ij = {stiff:g}"
+            yield Point("cold over warm iterations", gain, setting=setting)
+    yield Point("of the best setting alone", best)
+
+
+OF_ONE_MATERIAL.add(warm_start)
+
+
+@rule
+def blood(place: Place) -> Iterator[Point]:
+    """6: times that the largest displacement is too large, or too small."""
+    largest = [
+        np.linalg.norm(place.answer(name, (0.01,), moduli).displacement[-1], axis=1).max()
+        for name, moduli in (("fem", NOTHING), *(("vdm-paper", moduli) for moduli in DATA["moduli"].values()))
+    ]
+    for row, size in zip(DATA["moduli"], largest[1:], strict=True):
+        yield Point(row, float(max(size / largest[0], largest[0] / size)))
+
+
+@rule
+def anisotropy(place: Place) -> Iterator[Point]:
+    """7: change of the ratio of mean strains by fibres, over that of the reference's change."""
+    mesh = place.scene.mesh
+    surface, plain_rule = SurfaceMesh(mesh.surface_points, mesh.triangles), _rule_of(place.scene)
+    gradient = place.surface.volume_gradient
+    load = place.scene.load(0.01)
+
+    def strains(displacement: Array) -> Array:
+        return np.einsum("na,na->a", displacement, gradient)
+
+    def printed(parameters: Parameters) -> Array:
+        model = _printed(place.scene, parameters)
+        return strains(model.solve([Load(load.contact_pressure)]).displacement[-1])
+
+    def elements(fibre: Sequence[float]) -> Array:
+        fibres = {"fibre_direction": tuple(fibre), "contrast": CONTRAST}
+        study = place.study.model_copy(update={"anisotropy": Anisotropy.model_validate(fibres)})
+        scene = dataclasses.replace(build_scene(study, mesh), load_factors=np.array([0.01]))
+        return strains(run_model(scene, "fem-linear").displacement[-1])
+
+    bare, true = printed(plain_rule), strains(place.answer("fem-linear", (0.01,)).displacement[-1])
+    for axis, name in enumerate("xy"):
+        fibre = tuple(float(k == axis) for k in range(3))
+        pair = (axis, 1 - axis)
+
+        def change(found: Array, rest: Array, pair: tuple[int, int] = pair) -> float:
+            return float(found[pair[0]] / found[pair[1]] - rest[pair[0]] / rest[pair[1]])
+
+        both = plain_rule.anisotropic(surface, fibre, CONTRAST)
+        laws = {
+            "B_i per node": dataclasses.replace(both, connectivity_modulus=plain_rule.connectivity_modulus),
+            "B_ij per edge": dataclasses.replace(both, bulk_modulus=plain_rule.bulk_modulus),
+            "both": both,
+            "both, contrast squared": plain_rule.anisotropic(surface, fibre, CONTRAST**2),
+        }
+        wanted = change(elements(fibre), true)
+        found = {law: change(printed(parameters), bare) / wanted for law, parameters in laws.items()}
+        for law, value in {**found, "best law of each case": max(found.values())}.items():
+            yield Point(law, value, setting=f"fibres = {name}")
+
+
+@rule
+def large_strain(place: Place) -> Iterator[Point]:
+    """8: growth of the error from a twentieth of the load to all of it."""
+    for form, names in (("printed form", ("vdm-paper:nonlinear",)), ("derived forms", DERIVED)):
+        for name in names:
+            errors = place.errors(name)
+            growth, last = (x if math.isfinite(x) else math.inf for x in (errors[-1] - errors[0], errors[-1]))
+            u, r = place.answer(name).displacement, place.answer("fem").displacement
+            bar = place.bar * place.turned(*(u - r)[[0, -1]])
+            yield Point(f"growth of the error, {form}", growth, bar, name)
+            yield Point(f"{form}, error at full load", last, place.bar, name)
+
+
+@rule
+def stability(place: Place) -> Iterator[Point]:
+    """9: difference of every printed solver from the direct answer, over ratios of the moduli."""
+    rest = _rule_of(place.scene)
+    bulk, edge = (float(np.asarray(value)) for value in (rest.bulk_modulus, rest.connectivity_modulus))
+    solvers = ("lu", "bicg", "bicg-cold", "cg", "quasi-linear", "nonlinear", "incremental", "figure-8")
+    for ratio in RATIOS:
+        given = {"bulk_modulus": ratio * bulk, "connectivity_modulus": edge}
+        size = np.abs(place.answer("vdm-paper", (1.0,), given).displacement).max()
+        factor = TINY * place.surface.smallest_extent / size
+        direct = place.answer("vdm-paper", (factor,), given).displacement[-1]
+        for solver in solvers:
+            found = place.answer(f"vdm-paper:{solver}", (factor,), given)
+            off = relative_l2(found.displacement[-1], direct, place.surface.areas)
+            value = off if found.status[-1].ok and math.isfinite(off) else math.inf
+            for row in (solver, "every solver"):
+                yield Point(row, value, model=f"vdm-paper:{solver}", setting=f"ratio = {ratio:g}")
+
+
+@rule
+def iterations(place: Place) -> Iterator[Point]:
+    """10: iterations of BiCG over the number of unknowns."""
+    unknowns = float((~place.scene.held).sum() + 1)
+    for tolerance in (1e-4, 1e-8, 1e-12):
+        cold = place.answer("vdm-paper:bicg-cold", (1.0,), {"tolerance": tolerance})
+        taken = cold.iterations[-1] / unknowns if cold.status[-1].ok else math.inf
+        yield Point("iterations over unknowns, from zero", taken, setting=f"tolerance = {tolerance:g}")
+        warm = place.answer("vdm-paper:bicg", equal_steps(MANY_STEPS), {"tolerance": tolerance})
+        mean = warm.iterations.mean() / unknowns if all(s.ok for s in warm.status) else math.inf
+        yield Point("the same, warm, 100 steps", mean, setting=f"tolerance = {tolerance:g}")
+
+
+OF_ONE_MATERIAL.add(iterations)
+
+
+@rule
+def memory(place: Place) -> Iterator[Point]:
+    """11: numbers in the factors of the state matrix over those in it, and how those grow."""
+    counts = []
+    for scene in (place.scene, place.other(finer_by=FINER).scene):
+        model = _printed(scene, _rule_of(scene))
+        matrix = sparse.csc_array(model.formulation.state_matrix())
+        counts.append((len(scene.fixed), matrix.nnz))
+        if len(counts) == 1:
+            factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0)
+            yield Point("numbers in L and U over those in K", (factors.L.nnz + factors.U.nnz) / matrix.nnz)
+    (nodes, numbers), (more_nodes, more) = counts
+    growth = math.log(more / numbers) / math.log(more_nodes / nodes)
+    yield Point("exponent of the numbers in K over nodes", growth)
+
+
+OF_ONE_MATERIAL.add(memory)
+
+
+@rule
+def trade_off(place: Place) -> Iterator[Point]:
+    """12: time and error of the quasi-linear and of the nonlinear solver."""
+    names = ("vdm-paper:nonlinear", "vdm-paper:quasi-linear")
+    times = []
+    for name in names:
+        prepared, taken = Prepared(place.scene, name, STEPS), []
+        for _ in range(3):
+            start = time.process_time()
+            prepared.answer(place.scene.loads)
+            taken.append(time.process_time() - start)
+        times.append(min(taken))
+    yield Point("nonlinear over quasi-linear, time of a step", times[0] / times[1])
+    nonlinear, quasi = (place.errors(name)[-1] for name in names)
+    loss = float(quasi - nonlinear)
+    yield Point("error of quasi-linear less that of nonlinear", loss if math.isfinite(loss) else -math.inf)
+
+
+@rule
+def any_deformation(place: Place) -> Iterator[Point]:
+    """13: drift of the volume at full load, and at twice that, with both readings of (33)."""
+    name = "vdm-paper:quasi-linear"
+    floor = float(place.other(poisson_ratio=FILLED).drift("fem").max())
+    for row, given, load in (
+        ("(33) as printed", AS_PRINTED, 1.0),
+        ("(33) corrected", CORRECTED, 1.0),
+        ("(33) corrected, twice the load", CORRECTED, 2.0),
+    ):
+        yield Point(row, place.drift(name, given, load)[-1], floor=floor)
+
+
+@rule
+def conceded(place: Place) -> Iterator[Point]:
+    """14: errors at a small load."""
+    yield Point("printed form at a small load", place.errors("vdm-paper")[0], place.bar)
+    yield Point("mixed elements on the same mesh", place.bar)
+    for name in ("vdm-consistent", "vdm-vector"):
+        yield Point("derived forms at a small load", place.errors(name)[0], place.bar, name)
+    true = place.answer("fem-linear", (1.0,)).displacement[-1]
+    by_rule = Patches(place)
+    fitted = {
+        "printed form, normal component": np.ones(2),
+        "the same, B fitted on other loads": by_rule.fitted(1),
+        "the same, B and B_ij fitted on other loads": by_rule.fitted(2),
+    }
+    for row, multiples in fitted.items():
+        (u,) = by_rule.answers(multiples, [place.scene])
+        (r,) = along(true[None], place.surface.normals)
+        yield Point(row, relative_l2(u[:, None], r, place.surface.areas), place.bar)
+
+
+class Patches:
+    """Loads on three other places of a body, where B and B_ij of the printed form are fitted to linear elements."""
+
+    def __init__(self, place: Place) -> None:
+        self.place, mesh = place, place.scene.mesh
+        points, free = mesh.surface_points, ~place.scene.held
+        centres = [points[place.scene.contact].mean(axis=0)]
+        for _ in range(3):  # each as far from the finger and from those before as the upper half is
+            away = np.linalg.norm(points[:, None] - np.array(centres), axis=2).min(axis=1)
+            upper = free & (points[:, 2] > np.median(points[:, 2]))
+            centres.append(points[np.where(upper, away, -1.0).argmax()])
+        middles, width = points[mesh.triangles].mean(axis=1), 0.25 * place.surface.smallest_extent
+        loose = free[mesh.triangles].all(axis=1)
+        self.scenes = []
+        for centre in centres[1:]:
+            near = np.exp(-0.5 * (np.linalg.norm(middles - centre, axis=1) / width) ** 2) * loose
+            pressure = np.repeat(near[:, None], place.scene.facet_pressure.shape[1], axis=1)
+            scene = dataclasses.replace(place.scene, facet_pressure=pressure, load_factors=np.ones(1))
+            self.scenes.append(scene)
+
+    def answers(self, multiples: Array, scenes: Sequence[Scene]) -> list[Array]:
+        """(N,) normal displacement of the printed form under each load, moduli as multiples of the rule's."""
+        rest = _rule_of(self.place.scene)
+        bulk, edge = (
+            m * np.asarray(v)
+            for m, v in zip(multiples, (rest.bulk_modulus, rest.connectivity_modulus), strict=True)
+        )
+        moduli = dataclasses.replace(rest, bulk_modulus=bulk, connectivity_modulus=edge)
+        solver = _printed(self.place.scene, moduli).solver
+        fields = [solver.step(Load(scene.contact_pressure)).displacement for scene in scenes]
+        return [np.einsum("ni,ni->n", u, self.place.surface.normals) for u in fields]
+
+    def fitted(self, count: int) -> Array:
+        """(2,) multiples with the least squared normal error on the patches; of B alone where `count` is 1."""
+        true = [run_model(scene, "fem-linear").displacement[-1] for scene in self.scenes]
+        weights = np.sqrt(self.place.surface.areas)
+        wanted = [weights * np.einsum("ni,ni->n", r, self.place.surface.normals) for r in true]
+        sizes = [np.linalg.norm(one) for one in wanted]
+
+        def both(multiples: Array) -> Array:
+            return np.array([*multiples, *[1.0] * (2 - count)])
+
+        def answer(multiples: Array) -> Array:
+            found = self.answers(both(multiples), self.scenes)
+            return np.concatenate([weights * u / size for u, size in zip(found, sizes, strict=True)])
+
+        target = np.concatenate([one / size for one, size in zip(wanted, sizes, strict=True)])
+
+        def lacking(logs: Array) -> Array:
+            return np.asarray(answer(np.exp(logs)) - target)
+
+        found = least_squares(lacking, np.zeros(count), bounds=(-WIDEST, WIDEST))
+        return both(np.exp(found.x))
+
+
+# --- the grid ---
+
+
+def places(cache: Path) -> list[Place]:
+    """Every case of the grid; materials of one body and mesh share what they ask of each other."""
+    grid, found = DATA["grid"], []
+    for body, mesh in itertools.product(grid["bodies"], grid["meshes"]):
+        same = [Place(body, mesh, ratio, cache) for ratio in grid["poisson_ratio"]]
+        for place in same:
+            place.others |= {(other.poisson_ratio, 1.0): other for other in same}
+        found += same
+    return found
+
+
+def measure(
+    cache: Path, numbers: Iterable[int] = (), watch: Callable[[str], None] = lambda _: None
+) -> DataFrame:
+    """The points of some claims (all by default) over the grid: a frame with the columns of `COLUMNS`.
+
+    Parameters
+    ----------
+    cache : directory for meshes
+    watch : is told each case
+
+    Raises
+    ------
+    ValueError
+        a claim that there is not.
+    """
+    import pandas as pd
+
+    chosen = sorted(set(numbers)) or list(range(1, len(RULES) + 1))
+    if strange := [number for number in chosen if not 1 <= number <= len(RULES)]:
+        raise ValueError(f"there is no claim {strange[0]}; they are 1 to {len(RULES)}")
+    rows = []
+    for place in places(cache):
+        case = place.body, place.mesh_name, place.poisson_ratio
+        watch(f"{place.body}, {place.mesh_name} mesh, Poisson's ratio {place.poisson_ratio:g}")
+        for number in chosen:
+            function = RULES[number - 1]
+            if function in OF_ONE_MATERIAL and place.poisson_ratio != DATA["grid"]["poisson_ratio"][-1]:
+                continue
+            with np.errstate(all="ignore"):
+                rows += [
+                    (number, p.row, *case, p.model, p.setting, p.value, p.bar, p.floor)
+                    for p in function(place)
+                ]
+    return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("claim", kind="stable", ignore_index=True)
+
+
+# --- the words ---
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of a claim over the grid: the word is "" of a figure without a limit."""
+
+    claim: int
+    name: str
+    word: str
+    limit: str
+    holds: int
+    cases: int
+    low: float
+    high: float
+    part: str = ""  # where it holds within limits: "tolerance = 0.01"
+
+
+def judge(points: DataFrame) -> list[Row]:
+    """Every row of every claim that has points."""
+    return [
+        _row(number, name, limit, claim.get("along", ()), own)
+        for number, claim in enumerate(DATA["claims"], start=1)
+        for name, limit in claim["rows"].items()
+        if len(own := points[(points["claim"] == number) & (points["row"] == name)])
+    ]
+
+
+def _row(number: int, name: str, limit: Mapping[str, float], along: Sequence[str], points: DataFrame) -> Row:
+    values, bars = points["value"].to_numpy(), points["bar"].to_numpy()
+    about = (number, name)
+    ends = float(values.min()), float(values.max())
+    if not limit:
+        return Row(*about, "", "", 0, len(values), *ends)
+    ((sense, least),) = limit.items()
+    bound = np.fmax(least, points["floor"].to_numpy())
+    away = values - bound if sense == "at_most" else bound - values  # positive: beyond the limit
+    holds, fails = away + bars <= 0.0, away - bars > 0.0
+    told = f"{'at most' if sense == 'at_most' else 'at least'} {least:g}"
+    if (bound > least).any():
+        told += f" or the floor, {plain(bound.max(), 2)}"
+    word, part = MIXED, ""
+    if holds.all():
+        word = HOLDS
+    elif part := _part(points, holds, along):
+        word = WITHIN_LIMITS
+    elif fails.sum() * 2 > len(values):
+        word = FAILS
+    elif not fails.any() or (~holds & ~fails).sum() * 2 > len(values):
+        word = OPEN
+    return Row(*about, word, told, int(holds.sum()), len(values), *ends, part)
+
+
+def _part(points: DataFrame, holds: Array, along: Sequence[str]) -> str:
+    """The values of a setting, or of several together, for which a row holds in every case; "" where none are."""
+    for keys in along:
+        found: dict[str, list[bool]] = {}
+        for model, setting, held in zip(points["model"], points["setting"], holds, strict=True):
+            given = dict(part.split(" = ") for part in setting.split("; ") if part) | {"model": model}
+            values = [f"{key} = {given[key]}" for key in keys.split(" + ") if given.get(key)]
+            found.setdefault(", ".join(values), []).append(bool(held))
+        whole = [value for value, every in found.items() if value and all(every)]
+        if whole and len(found) > 1:
+            return "; ".join(whole)
+    return ""
+
+
+def title(number: int) -> str:
+    """A claim with its number."""
+    return f"{number}. {DATA['claims'][number - 1]['text']}"
+
+
+def told(number: int) -> list[str]:
+    """What the paper says, how it is read, what else could be meant, and where the limits come from."""
+    claim = DATA["claims"][number - 1]
+    return [
+        f"\u201c{claim['quote']}\u201d ({claim['place']})",
+        f"Read as: {claim['reading']}",
+        f"Also: {claim['others']}",
+        f"Limits: {claim['rule']}",
+    ]
+
+
+def table_of_claims(rows: Sequence[Row]) -> list[dict[str, str]]:
+    """A line for each claim, of the row that decides it."""
+    first = {row.claim: row for row in reversed(rows)}
+    return [{"claim": title(number)} | _cells(row) for number, row in sorted(first.items())]
+
+
+def table_of(number: int, rows: Sequence[Row]) -> list[dict[str, str]]:
+    """A line for each row of a claim."""
+    return [{"measured": row.name} | _cells(row) for row in rows if row.claim == number]
+
+
+def _cells(row: Row) -> dict[str, str]:
+    ends = ["stops" if math.isinf(value) else plain(value, 2) for value in (row.low, row.high)]
+    return {
+        "verdict": row.word + (f": {row.part}" if row.part else ""),
+        "holds in": f"{row.holds} of {row.cases}" if row.word else f"{row.cases} cases",
+        "range": " to ".join(dict.fromkeys(ends)),
+        "limit": row.limit,
+    }
+
+
+def write_points(points: DataFrame, path: Path) -> None:
+    """Write the points as CSV, to 6 digits. Raises OSError."""
+    points.to_csv(path, index=False, float_format="%.6g")
+
+
+def read_points(path: Path) -> DataFrame:
+    """Read them back. Raises OSError, and ValueError where it is no such file."""
+    import pandas as pd
+
+    table = pd.read_csv(path, keep_default_na=False, dtype={"setting": str, "model": str})
+    if tuple(table.columns) != COLUMNS:
+        raise ValueError(f"{path}: not a file of claims; write one with vdmbench claims --out")
+    return table.replace({"floor": {"": "nan"}}).astype({"value": float, "bar": float, "floor": float})

@@ -1,1 +1,0 @@
-"""The programs behind documented figures: benchmark, calibration, the claims of the paper on trial."""

@@ -1,0 +1,135 @@
+"""The paper's claims: words from counts, rules on one case, and the stored grid measured again."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.command import vdmbench
+from vdmbench import claims
+from vdmbench.claims import COLUMNS, DATA, FAILS, HOLDS, MIXED, OPEN, RULES, WITHIN_LIMITS, Place, judge
+from vdmbench.study.schema import CLAIMS
+
+ROOT = Path(__file__).parents[2]
+STORED = ROOT / "results" / "claims.csv"
+
+
+def points(
+    values: list[float], *, bar: float = 0.0, settings: tuple[str, ...] = (), floor: float = math.nan
+) -> pd.DataFrame:
+    """Of claim 10's first row: at most 1, in part by tolerance."""
+    told = settings or ("",) * len(values)
+    rows = [
+        (10, "iterations over unknowns, from zero", "ball", "coarse", 0.45, "", setting, value, bar, floor)
+        for value, setting in zip(values, told, strict=True)
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+@pytest.mark.parametrize(
+    ("values", "bar", "word"),
+    [
+        ([0.2, 0.9], 0.05, HOLDS),
+        ([0.2, 0.9], 0.2, OPEN),
+        ([0.2, 1.1], 0.0, MIXED),
+        ([0.2, 1.1, 1.2], 0.0, FAILS),
+        ([0.2, 1.1, 1.2], 0.5, OPEN),
+        ([math.inf, 2.0, 0.5], 0.0, FAILS),
+    ],
+)
+def test_the_word_follows_from_counts_and_bars(values: list[float], bar: float, word: str) -> None:
+    (row,) = judge(points(values, bar=bar))
+    assert row.word == word
+    assert (row.low, row.high) == (min(values), max(values))
+    assert row.holds == sum(value + bar <= 1.0 for value in values)
+
+
+def test_a_claim_holds_within_limits_where_a_stated_part_holds_in_every_case() -> None:
+    loose, tight = "tolerance = 0.01", "tolerance = 1e-08"
+    (row,) = judge(points([0.2, 0.3, 1.5, 1.6, 1.7], settings=(loose, loose, tight, tight, tight)))
+    assert (row.word, row.part) == (WITHIN_LIMITS, loose)
+    (row,) = judge(points([0.2, 1.3, 1.5], settings=(loose, loose, tight)))
+    assert row.word == FAILS
+
+
+def test_a_floor_widens_the_limit_of_its_own_case() -> None:
+    (row,) = judge(points([1.5, 1.5], floor=2.0))
+    assert row.word == HOLDS
+    assert row.limit == "at most 1 or the floor, 2"
+    (row,) = judge(points([1.5, 1.5], floor=0.5))
+    assert row.word == FAILS
+
+
+def test_every_claim_is_quoted_and_has_a_rule_with_limits() -> None:
+    assert len(DATA["claims"]) == len(RULES) == CLAIMS
+    for claim in DATA["claims"]:
+        assert all(claim[part] for part in ("text", "quote", "place", "reading", "others", "rule"))
+        first = next(iter(claim["rows"].values()))
+        assert first, "the row that decides has a limit"
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Place:
+    return claims.places(tmp_path_factory.mktemp("meshes"))[1]  # the coarse ball of 0.4999
+
+
+def test_rules_measure_again_what_is_stored(place: Place) -> None:
+    """Every row of every claim, seconds and long warm starts apart: the grid's own baseline, one case of it."""
+    stored = claims.read_points(STORED)
+    stored = stored[
+        (stored["body"] == "ball") & (stored["mesh"] == "coarse") & (stored["poisson_ratio"] == 0.4999)
+    ]
+    for number, function in enumerate(RULES, start=1):
+        own = stored[stored["claim"] == number]
+        assert set(own["row"]) == set(DATA["claims"][number - 1]["rows"]), f"claim {number}: rows of the data"
+        if number in (3, 5, 12):  # seconds; a thousand steps
+            continue
+        with np.errstate(all="ignore"):
+            found = list(function(place))
+        assert [(p.row, p.model, p.setting) for p in found] == list(
+            own[["row", "model", "setting"]].itertuples(index=False, name=None)
+        )
+        # solvers stop at tolerances of their own, and iterations are whole numbers
+        np.testing.assert_allclose([p.value for p in found], own["value"], rtol=1e-3, atol=1e-6)
+        np.testing.assert_allclose([p.bar for p in found], own["bar"], rtol=1e-3, atol=1e-6)
+
+
+def test_the_grid_is_whole(place: Place) -> None:
+    assert place.poisson_ratio == 0.4999
+    grid, stored = DATA["grid"], claims.read_points(STORED)
+    assert min(len(grid["bodies"]) - 2, len(grid["meshes"]) - 1, len(grid["poisson_ratio"]) - 1) >= 1
+    for number, function in enumerate(RULES, start=1):
+        own = stored[stored["claim"] == number]
+        ratios = 1 if function in claims.OF_ONE_MATERIAL else len(grid["poisson_ratio"])
+        cases = own[["body", "mesh", "poisson_ratio"]].drop_duplicates()
+        assert len(cases) == len(grid["bodies"]) * len(grid["meshes"]) * ratios
+
+
+def test_the_other_place_is_another_mesh_or_itself(place: Place) -> None:
+    assert place.other() is place
+    assert place.other(finer_by=1.6) is place.other(finer_by=1.6)
+    assert len(place.other(finer_by=1.6).scene.fixed) > 1.5 * len(place.scene.fixed)
+
+
+def test_an_error_that_keeps_its_direction_is_not_moved_by_the_reference(place: Place) -> None:
+    error = place.scene.mesh.surface_points
+    assert place.turned(error, 3.0 * error) == pytest.approx(0.0, abs=1e-12)
+    assert place.turned(error, -error) == pytest.approx(2.0, rel=1e-12)
+
+
+def test_the_command_judges_what_is_stored(tmp_path: Path) -> None:
+    done = vdmbench("claims", "--from", str(STORED), "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)["claims"]
+    assert {row["claim"] for row in rows} == set(range(1, CLAIMS + 1))
+    told = vdmbench("claims", "5", "--from", str(STORED), cwd=tmp_path).stdout
+    assert DATA["claims"][4]["quote"].split(" [")[0][:40] in told
+    for wrong in (("claims", "15"), ("claims", "--from", str(ROOT / "README.md"))):
+        failed = vdmbench(*wrong, cwd=tmp_path)
+        assert failed.returncode == 2
+        assert "Traceback" not in failed.stderr
