@@ -7,6 +7,7 @@ the likeliest first. It ends with an error where one survives: such a fault need
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -16,7 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from tools.documents import ROOT
+from tools.documents import ROOT, rows_shown, show, table
+from tools.evidence import EVIDENCE
 
 COPIED = (
     *("vdm", "fem_reference", "solver_common", "studies", "tests", "tools", "docs"),
@@ -68,20 +70,29 @@ def first_failure(tests: Sequence[str], place: Path) -> str:
     """The first of the tests of a copy that fails, and nothing where all pass."""
     options = ("-q", "-x", "-m", "not slow", "-p", "no:cacheprovider", "--basetemp", str(place / "tmp"))
     path = os.pathsep.join((str(place / "build" / "typed"), str(place)))
-    own = {"PYTHONPATH": path, "OMP_NUM_THREADS": "1", "NUMBA_CACHE_DIR": str(place / "numba")}
+    own = {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-B", "-m", "pytest", *options, *tests]
     ended = subprocess.run(command, cwd=place, env={**os.environ, **own}, capture_output=True, text=True)
     if ended.returncode == 0:
         return ""
-    words = [line.split()[1] for line in ended.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return words[0] if words else f"pytest ends with {ended.returncode}: {ended.stderr[-300:]}"
+    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", ended.stdout, re.MULTILINE)
+    return failed[1] if failed else f"pytest ends with {ended.returncode}: {ended.stderr[-300:]}"
 
 
-def main(_: str, arguments: Sequence[str]) -> None:
-    """Try the faults of these numbers, by default all."""
-    survived, clean = 0, set[str]()
-    with tempfile.TemporaryDirectory() as name:
-        place = Path(name)
+def rewrite(path: Path, text: str) -> None:
+    """Change a file; what numba compiled beside it goes, for it does not see what a function calls."""
+    path.write_text(text, encoding="utf-8")
+    for compiled in path.parent.glob("__pycache__/*.nb?"):
+        compiled.unlink()
+
+
+def main(name: str, arguments: Sequence[str]) -> None:
+    """Try the faults of these numbers, by default all, and write what found each; lines of others stay."""
+    document, head = ROOT / EVIDENCE[name]["document"], ("file", "what stands there", "fault", "found by")
+    found = {row[1]: row for row in rows_shown(document, name)}
+    caught = {}
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
         for part in COPIED:
             copy = shutil.copytree if (ROOT / part).is_dir() else shutil.copy
             (place / part).parent.mkdir(parents=True, exist_ok=True)
@@ -91,22 +102,17 @@ def main(_: str, arguments: Sequence[str]) -> None:
         for number in map(int, arguments or range(1, len(MUTANTS) + 1)):
             mutant = MUTANTS[number - 1]
             path, tests = place_of(mutant, place), tests_of(mutant, place)
-            untried = [test for test in tests if test not in clean]
-            if untried and (broken := first_failure(untried, place)):
-                sys.exit(f"{broken} fails without a fault: mend it first")
-            clean.update(untried)
             text = path.read_text(encoding="utf-8")
-            path.write_text(text.replace(mutant.old, mutant.new), encoding="utf-8")
-            caught = first_failure(tests, place)
-            path.write_text(text, encoding="utf-8")
-            survived += not caught
-            print(
-                number,
-                path.relative_to(place),
-                mutant.old,
-                "->",
-                mutant.new,
-                caught or "SURVIVES",
-                flush=True,
-            )
+            rewrite(path, text.replace(mutant.old, mutant.new))
+            caught[mutant] = first_failure(tests, place)
+            rewrite(path, text)
+            by = f"`{caught[mutant].rpartition('::')[2]}`" if caught[mutant] else "**nothing**"
+            row = [f"`{path.relative_to(place)}`", f"`{mutant.old}`", f"`{mutant.new}`", by]
+            print(number, *row, sep=" | ", flush=True)
+            found[row[1]] = row
+        if broken := first_failure([test for test in caught.values() if test], place):
+            sys.exit(f"{broken} fails without a fault: mend it first")
+    order = [found[f"`{mutant.old}`"] for mutant in MUTANTS if f"`{mutant.old}`" in found]
+    show(document, name, table(head, order))
+    survived = sum(not test for test in caught.values())
     sys.exit(f"{survived} survive" if survived else 0)
