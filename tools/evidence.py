@@ -489,22 +489,14 @@ def claims(name: str, arguments: Sequence[str]) -> None:
 
 
 def show_claims(name: str = "claims") -> None:
-    """The page from what was measured: a line for each claim, then its words and rows."""
-    from vdmbench.claims import DATA, judge, read_points, table_of, table_of_claims, title, told
+    """The page from what was measured: a line for each claim, then its words and how they are read."""
+    from vdmbench.claims import DATA, judge, read_points, table_of_claims, told
 
     own = EVIDENCE[name]
-    rows = judge(read_points(ROOT / own["points"]))
-    lines = table_of_claims(rows)
+    lines = table_of_claims(judge(read_points(ROOT / own["points"])))
     show(ROOT / own["document"], own["part"], table(list(lines[0]), [list(line.values()) for line in lines]))
-    shown_by = {path.stem: tomllib.loads(path.read_text())["study"] for path in sorted(CASES.glob("*.toml"))}
-    text = ""
-    for number in range(1, len(DATA["claims"]) + 1):
-        studies = [f"`{study}`" for study, keys in shown_by.items() if number in keys.get("claims", ())]
-        words = [*told(number), *([f"Shipped studies: {', '.join(studies)}"] if studies else [])]
-        lines = table_of(number, rows)
-        text += f"\n### {title(number)}\n\n" + "".join(f"- {line.replace('<', '&lt;')}\n" for line in words)
-        text += "\n" + table(list(lines[0]), [list(line.values()) for line in lines])
-    show(ROOT / own["document"], own["rows"], text)
+    words = (" ".join(told(number)[:2]).replace("<", "&lt;") for number in range(1, len(DATA["claims"]) + 1))
+    show(ROOT / own["document"], own["words"], "".join(f"{k}. {text}\n" for k, text in enumerate(words, 1)))
 
 
 def main(arguments: Sequence[str]) -> None:
