@@ -22,7 +22,7 @@ import pytest
 
 from tests.command import write_study
 from tests.in_process import HerePlaces
-from tests.unit.test_store import _reseal
+from tests.store.test_store import _reseal
 from vdmbench.cli.main import main
 from vdmbench.machine import files
 from vdmbench.report import rebuild

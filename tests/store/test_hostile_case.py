@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.example_case import example_case
-from tests.unit.test_store import _replace, _reseal
+from tests.store.test_store import _replace, _reseal
 from vdmbench.measures.case import Run
 from vdmbench.store import cases as store
 from vdmbench.store.hdf5 import StoreError
