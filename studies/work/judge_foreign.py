@@ -58,7 +58,8 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
         measurement=measurement,
     )
     about = run.study.study.model_copy(update={"models": (name, *run.study.study.models)})
-    return dataclasses.replace(run, study=run.study.model_copy(update={"study": about}), cases=[with_it])
+    study = run.study.model_copy(update={"study": about})
+    return dataclasses.replace(run, study=study, cases=[with_it], told=None)  # which is of the study alone
 
 
 def _as_result(case: CaseResult, mesh: Mesh, foreign: Foreign) -> ModelResult:
