@@ -24,6 +24,7 @@ COLUMNS = (
     "metric",
     "step",
     "load_factor",
+    "full_load",
     "value",
     "bar",
     "unit",
@@ -39,8 +40,8 @@ def frame(run: Run) -> DataFrame:
     -------
     DataFrame with the columns of `COLUMNS` and one more for each swept key (SI). `case` is the hash, `family` a
     category in the order of `Family`, `bar` the reference's own part in the value (GCI; NaN where not measured, and
-    at other steps than that of the largest load), `status` the code of the model's step. The costs of `COSTS` are
-    metrics like the others. `attrs["full_load"]` maps each case to the step of its largest load.
+    at other steps than that of the largest load), `full_load` whether it is that step, `status` the code of
+    the model's. The costs of `COSTS` are metrics like the others.
     """
     import pandas as pd
 
@@ -57,7 +58,7 @@ def frame(run: Run) -> DataFrame:
                 series.append((len(about), metric, one.unit, bar, case.full_load if n_steps else 0))
                 values.append(one.values)
             for cost, unit in COSTS.items():
-                series.append((len(about), cost, unit, np.nan, 0))
+                series.append((len(about), cost, unit, np.nan, case.full_load if n_steps else 0))
                 values.append(np.broadcast_to(getattr(result, cost), n_steps))
             count = len(measured) + len(COSTS)
             factors += [case.load_factors] * count
@@ -77,14 +78,14 @@ def frame(run: Run) -> DataFrame:
     table["metric"], table["step"] = of["metric"].to_numpy(), step
     table["load_factor"] = np.concatenate([*factors, []])
     table["value"] = np.concatenate([*values, []])
-    table["bar"] = np.where(step == of["full"], of["bar"], np.nan)
+    table["full_load"] = full = step == of["full"].to_numpy(dtype=int)
+    table["bar"] = np.where(full, of["bar"], np.nan)
     table["unit"], table["status"] = of["unit"].to_numpy(), codes
     table = table[[*COLUMNS[:2], "model", *keys, *COLUMNS[3:]]]
     table["family"] = pd.Categorical(table["family"], [family.value for family in Family], ordered=True)
-    table.attrs["full_load"] = {case.hash: case.full_load for case in run.cases}
     return table
 
 
 def at_full_load(table: DataFrame) -> DataFrame:
     """The rows of a frame at the step of the largest load of each case."""
-    return table[table["step"] == table["case"].map(table.attrs["full_load"])]
+    return table[table["full_load"]]

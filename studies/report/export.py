@@ -10,7 +10,7 @@ from functools import cache
 from html import escape
 
 from ..measures.case import Run
-from ..store.metrics_table import no_formula
+from ..store.cases import no_formula
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING
 from ..verdict.palette import COLOURS

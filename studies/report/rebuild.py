@@ -11,6 +11,7 @@ from ..machine.locks import LockedError, lock
 from ..measures.case import Run
 from ..store.cases import read_run, write_study
 from ..store.run_directory import REPORT, keep_told, read_plan
+from ..verdict.digest import digest_of
 
 _PATIENCE = 300.0  # s that one other process may take to write the tables and the report
 
@@ -33,7 +34,7 @@ def rebuild(directory: Path, tell: Callable[[str], None]) -> tuple[Run, Path]:
         # the last of several shards sees all
         with lock(directory / ".lock-report", fcntl.LOCK_EX, patience=_PATIENCE, tell=tell):
             run = read_run(directory, damaged=True)
-            write_study(directory, run)
+            write_study(directory, run, digest_of(run).table)
             write_report(run, report)
             run = dataclasses.replace(run, told=summary(run))
             keep_told(directory, run.plan, run.told or {})

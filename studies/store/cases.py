@@ -6,14 +6,15 @@ A file gets its final name only after it is safely on disk. `results/FORMAT.md` 
 
 from __future__ import annotations
 
+import csv
 import dataclasses
-import hashlib
+import io
+import math
 import os
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,6 @@ from solver_common.solution import Status
 
 from ..machine.files import json_text, write_atomically
 from ..measures import uncertainty
-from ..measures.bars import value_bar
 from ..measures.case import (
     DAMAGED,
     CaseResult,
@@ -33,6 +33,7 @@ from ..measures.case import (
     Run,
     SmallStrainLimits,
 )
+from ..measures.frame import COLUMNS, COSTS, frame
 from ..measures.metrics import METRICS
 from ..scene.result import ModelResult
 from ..study.schema import Study
@@ -51,7 +52,6 @@ from .hdf5 import (
 )
 from .input_entries import input_entries, read_inputs
 from .measurement_entries import measurement_entries, read_measurement
-from .metrics_table import metric_rows, metrics_csv
 from .run_directory import (
     METRICS_FILE,
     STUDY_FILE,
@@ -65,9 +65,11 @@ from .run_directory import (
 )
 from .shapes import CaseShape, MetricShape, ModelShape, Shape, one_line, parsed
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
 SCHEMA = 4
 MOVED = "surface_distance"
-_CSV_HASH = "case/metrics_csv"  # the SHA-256 of the one, in the other
 _VTK_TRIANGLE = 5
 _TEXTS_BYTES = 64 << 20  # room for a file's texts and structure
 
@@ -136,11 +138,47 @@ def read_case(path: Path, expected: str | None = None) -> CaseResult:
             ) from error
 
 
-def write_study(directory: Path, run: Run) -> None:
-    """Write `study.h5` and `metrics.csv`: every metric of every case, model and step in two tables."""
-    table = metrics_csv(run).encode("utf-8", "replace")
-    write_atomically(directory / STUDY_FILE, sealed([*_study_entries(run), Text(_CSV_HASH, _digest(table))]))
-    write_atomically(directory / METRICS_FILE, table)
+def write_study(directory: Path, run: Run, table: DataFrame | None = None) -> None:
+    """Write `study.h5` and `metrics.csv`: every metric of every case, model and step in two tables.
+
+    Parameters
+    ----------
+    table : the frame of the run, where it is there
+    """
+    table = frame(run) if table is None else table
+    write_atomically(directory / STUDY_FILE, sealed(_study_entries(run, _without_costs(table))))
+    write_atomically(directory / METRICS_FILE, metrics_csv(table).encode("utf-8", "replace"))
+
+
+def _without_costs(table: DataFrame) -> DataFrame:
+    return table[~table["metric"].isin(list(COSTS))]
+
+
+def metrics_csv(table: DataFrame) -> str:
+    """The metrics of a frame as CSV; beside a value at full load the reference's own error, where measured."""
+    rows, swept = _without_costs(table), [key for key in table.columns if key not in COLUMNS]
+    shown = ["case", *swept, "model", "load_factor", "metric", "value", "unit", "bar"]
+    head = [*map(no_formula, shown[:-1]), "reference_error"]
+    columns: dict[str, Iterable[str]] = {key: map(_cell, rows[key].tolist()) for key in shown}
+    columns["case"] = (text[:12] for text in rows["case"].tolist())
+    columns |= {key: map(_known, rows[key].tolist()) for key in swept}
+    columns["bar"] = (repr(bar) if math.isfinite(bar) else "" for bar in rows["bar"].tolist())
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows([head, *zip(*columns.values(), strict=True)])
+    return out.getvalue()
+
+
+def _cell(value: float | str) -> str:
+    return no_formula(value) if isinstance(value, str) else repr(value)
+
+
+def _known(value: float | str) -> str:
+    return "" if value != value else _cell(value)
+
+
+def no_formula(text: str) -> str:
+    """A text that a spreadsheet would run as a formula gets a quote in front."""
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
 
 
 def read_run(directory: Path, *, damaged: bool = False) -> Run:
@@ -213,10 +251,6 @@ def told_run(directory: Path) -> Run | None:
     except StoreError:
         return None
     return Run(study, text, _OnceAsked(directory, told["done"]), [], [], plan, told)
-
-
-def _digest(table: bytes) -> str:
-    return hashlib.sha256(table).hexdigest()
 
 
 def case_state(directory: Path, case_hash: str, label: str = "") -> str:
@@ -429,50 +463,60 @@ def _read_metrics(file: Stored, path: str, about: Mapping[str, MetricShape]) -> 
 # --- a whole study ---
 
 
-def _study_entries(run: Run) -> list[Entry]:
-    """One (cases, steps) array per model and metric, with labelled dimensions; NaN where a case has none.
+def _study_entries(run: Run, rows: DataFrame) -> list[Entry]:
+    """One (cases, steps) array per model and metric of a frame, with dimension scales; NaN where a case has none.
 
     Beside it, where it is measured, one (cases,) of the reference's own error in the value at full load.
     """
+    cases, steps = ("cases",), ("cases", "steps")
+    shape = (len(run.cases), max((len(case.load_factors) for case in run.cases), default=0))
+    factors = np.full(shape, np.nan)
+    for row, case in enumerate(run.cases):
+        factors[row, : len(case.load_factors)] = case.load_factors
     entries: list[Entry] = [
         Group("case", {"schema": SCHEMA}),
         Text("case/study", run.study_text),
-        Text("case/hash", [case.hash for case in run.cases]),
-        Text("case/label", [case.label for case in run.cases]),
+        Text("cases", [case.label or case.hash[:8] for case in run.cases]),
+        Data("steps", np.arange(shape[1])),
+        Text("case/hash", [case.hash for case in run.cases], cases),
+        Text("case/label", [case.label for case in run.cases], cases),
+        Data("load_factor", factors, {"unit": "1"}, steps),
         Group("swept"),
     ]
     for key in dict.fromkeys(key for case in run.cases for key in case.swept):
         values = [case.swept.get(key) for case in run.cases]
         unit = next(case.swept_units.get(key, "1") for case in run.cases if key in case.swept)
         if all(isinstance(value, int | float) for value in values):
-            entries.append(_data(f"swept/{key}", np.array(values, dtype=float), unit))
+            entries.append(Data(f"swept/{key}", np.array(values, dtype=float), {"unit": unit}, cases))
         else:
-            entries.append(Text(f"swept/{key}", [str(value) for value in values]))
-    shape = (len(run.cases), max((len(case.load_factors) for case in run.cases), default=0))
-    factors = np.full(shape, np.nan)
-    for row, case in enumerate(run.cases):
-        factors[row, : len(case.load_factors)] = case.load_factors
-    entries += [_data("load_factor", factors, "1"), Group("metrics")]
+            entries.append(Text(f"swept/{key}", [str(value) for value in values], cases))
     index = {case.hash: row for row, case in enumerate(run.cases)}
-    tables: dict[tuple[str, str], NDArray[np.float64]] = defaultdict(lambda: np.full(shape, np.nan))
-    bars: dict[tuple[str, str], NDArray[np.float64]] = defaultdict(lambda: np.full(shape[0], np.nan))
-    about: dict[tuple[str, str], MetricSeries] = {}
-    for case, model, metric, series in metric_rows(run):
-        tables[model, metric][index[case.hash], : len(series.values)] = series.values
-        about[model, metric] = series
-        bar = value_bar(case, model, metric)
-        if np.isfinite(bar):
-            bars[model, metric][index[case.hash]] = bar
-    entries += [Group(f"metrics/{model}") for model in dict.fromkeys(model for model, _ in tables)]
-    for (model, metric), table in tables.items():
-        attributes = {key: getattr(about[model, metric], key) for key in _ABOUT_METRIC}
-        entries.append(Data(f"metrics/{model}/{metric}", table, attributes, ("case", "step")))
-    entries += [Group("reference_error")]
-    entries += [Group(f"reference_error/{model}") for model in dict.fromkeys(model for model, _ in bars)]
-    for (model, metric), bar_of in bars.items():
-        attributes = {"unit": about[model, metric].unit}
-        entries.append(Data(f"reference_error/{model}/{metric}", bar_of, attributes, ("case",)))
-    return entries
+    named = {
+        (model, metric): one
+        for case in run.cases
+        for model, metrics in case.metrics.items()
+        for metric, one in metrics.items()
+    }
+    tables, bars = [], []
+    for (model, metric), part in rows.groupby(["model", "metric"], sort=False):
+        at, series, bar = (
+            part["case"].map(index).to_numpy(),
+            np.full(shape, np.nan),
+            np.full(shape[0], np.nan),
+        )
+        series[at, part["step"].to_numpy()] = part["value"]
+        full = part["full_load"].to_numpy()
+        bar[at[full]] = part["bar"][full]
+        about = {key: getattr(named[model, metric], key) for key in _ABOUT_METRIC}
+        tables.append(Data(f"metrics/{model}/{metric}", series, about, steps))
+        if np.isfinite(bar).any():
+            bars.append(Data(f"reference_error/{model}/{metric}", bar, {"unit": about["unit"]}, cases))
+    return entries + _in_groups("metrics", tables) + _in_groups("reference_error", bars)
+
+
+def _in_groups(whole: str, entries: Sequence[Data]) -> list[Entry]:
+    groups = dict.fromkeys(entry.path.rpartition("/")[0] for entry in entries)
+    return [Group(whole), *map(Group, groups), *entries]
 
 
 # --- small helpers ---

@@ -63,7 +63,10 @@ class Group:
 
 @dataclass(frozen=True)
 class Data:
-    """An array of numbers. Attributes are texts or whole numbers, `labels` name its dimensions."""
+    """An array of numbers. Attributes are texts or whole numbers, `labels` name its dimensions.
+
+    An array before it in the file's root, of the name of a label, is the scale of that dimension.
+    """
 
     path: str
     values: NDArray[Any]
@@ -77,6 +80,7 @@ class Text:
 
     path: str
     values: str | Sequence[Any]
+    labels: tuple[str, ...] = ()
 
 
 Entry = Group | Data | Text
@@ -101,7 +105,9 @@ def _add(file: Any, entry: Entry) -> None:
     if isinstance(entry, Text):
         texts = np.array(entry.values, dtype=object)
         space = h5s.create_simple(texts.shape) if texts.shape else _SCALAR
-        h5d.create(file, path, _TEXT, space).write(h5s.ALL, h5s.ALL, texts, mtype=_STRING)
+        owner = h5d.create(file, path, _TEXT, space)
+        owner.write(h5s.ALL, h5s.ALL, texts, mtype=_STRING)
+        _name_dimensions(file, owner, entry.labels)
         return
     if isinstance(entry, Group):
         ordered = h5p.create(h5p.GROUP_CREATE)
@@ -109,10 +115,19 @@ def _add(file: Any, entry: Entry) -> None:
         owner = h5g.create(file, path, gcpl=ordered)
     else:
         owner = _dataset(file, path, np.ascontiguousarray(entry.values))
-        for axis, label in enumerate(entry.labels):
-            h5ds.set_label(owner, axis, label.encode())
+        _name_dimensions(file, owner, entry.labels)
     for name, value in entry.attributes.items():
         _attach(owner, name.encode(), value)
+
+
+def _name_dimensions(file: Any, owner: Any, labels: Sequence[str]) -> None:
+    for axis, label in enumerate(map(str.encode, labels)):
+        h5ds.set_label(owner, axis, label)
+        if file.links.exists(label):
+            scale = h5d.open(file, label)
+            if not h5ds.is_scale(scale):
+                h5ds.set_scale(scale, label)
+            h5ds.attach_scale(owner, scale, axis)
 
 
 def _dataset(file: Any, path: bytes, values: NDArray[Any]) -> Any:

@@ -36,7 +36,7 @@ def entries(seed: int, rows: int = 3) -> list[Entry]:
         Data("data/columns", rng.normal(size=rows), {"unit": "m", "definition": "|u|", "version": 3}),
         Data("data/dense", rng.normal(size=(3000, 3)), {"unit": "m"}),
         Data("data/sparse", sparse, {"unit": "N"}),
-        Data("data/counts", rng.integers(0, 9, (2, rows)), {}, ("case", "step")),
+        Data("data/counts", rng.integers(0, 9, (2, rows)), {}, ("cases", "steps")),
         Data("data/table", table(rng, rows), {"units": "m, 1"}),
         Data("data/mask", rng.integers(0, 2, 5).astype(np.int8)),
         Data("data/empty", np.zeros((0, 3)), {"unit": "m"}),

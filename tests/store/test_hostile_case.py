@@ -14,9 +14,9 @@ import pytest
 from tests.example_case import example_case
 from tests.store.test_store import _replace, _reseal
 from vdmbench.measures.case import Run
+from vdmbench.measures.frame import frame
 from vdmbench.store import cases as store
 from vdmbench.store.hdf5 import StoreError
-from vdmbench.store.metrics_table import metrics_csv
 
 
 @pytest.fixture
@@ -68,8 +68,9 @@ def test_no_cell_of_the_table_is_a_formula() -> None:
     attack = '=HYPERLINK("http://example.org")'
     case = example_case()
     series = dataclasses.replace(case.metrics["vdm-paper"]["max_nodal_error"], unit=attack)
-    case = dataclasses.replace(case, swept={attack: attack}, metrics={attack: {attack: series}})
-    rows = list(csv.reader(metrics_csv(Run(case.study, "", [case], [], [], {})).splitlines()))
+    models, metrics = {attack: case.models["vdm-paper"]}, {attack: {attack: series}}
+    case = dataclasses.replace(case, swept={attack: attack}, models=models, metrics=metrics)
+    rows = list(csv.reader(store.metrics_csv(frame(Run(case.study, "", [case], [], [], {}))).splitlines()))
     cells = [cell for row in rows for cell in row if "HYPERLINK" in cell]
     assert len(cells) == 1 + 4 * 3, "the heading; value, model, metric and unit of three steps"
     assert all(cell == f"'{attack}" for cell in cells)

@@ -301,7 +301,9 @@ def test_study_tables(tmp_path: Path) -> None:
         assert list(file["swept/geometry.shape"].asstr()) == ["=cmd()", "box"]
         table = file["metrics/vdm-paper/max_nodal_error"]
         assert_array_equal(table, [[1, 2, 3], [1, 2, 3]])
-        assert [dim.label for dim in table.dims] == ["case", "step"]
+        assert [dim.label for dim in table.dims] == ["cases", "steps"]
+        assert list(table.dims[0][0].asstr()) == ["one", "two"]
+        assert_array_equal(table.dims[1][0], [0, 1, 2])
         assert table.attrs["unit"] == "m"
     with (tmp_path / "metrics.csv").open() as table:
         rows = list(csv.DictReader(table))

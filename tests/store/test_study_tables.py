@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.report.runs import make_case, make_run
+from vdmbench.measures.bars import value_bar
 from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.measures.uncertainty import INDENTATION_FORCE
 from vdmbench.store import cases as store
@@ -49,7 +50,7 @@ def test_study_tables_hold_load_factors_and_bars(tmp_path: Path, levels: float, 
         for name, bar in bars.items():
             table = file["reference_error"][name]
             assert_allclose(table, [bar, np.nan], rtol=1e-12, atol=0, err_msg=name)
-            assert [dimension.label for dimension in table.dims] == ["case"], name
+            assert [dimension.label for dimension in table.dims] == ["cases"], name
     others = {
         f"{REFINED}/{metric}"
         for metric, series in first.metrics[REFINED].items()
@@ -62,14 +63,14 @@ def test_the_bar_of_three_levels_goes_before_one_of_the_outer_two() -> None:
     case = refined_case(1.0)
     three = {**case.reference_error, "levels": 3.0, f"own_gci:{DRIFT}": 0.5}
     case = dataclasses.replace(case, reference_error=three)
-    assert store.value_bar(case, REFINED, DRIFT) == 0.5
+    assert value_bar(case, REFINED, DRIFT) == 0.5
     others = [name for name in case.models if name != REFINED]
-    assert np.isnan([store.value_bar(case, name, DRIFT) for name in others]).all()
+    assert np.isnan([value_bar(case, name, DRIFT) for name in others]).all()
 
 
 def test_a_reference_on_one_mesh_has_the_bar_that_was_measured() -> None:
     case = dataclasses.replace(refined_case(1.0), reference_error={f"gci:{DRIFT}": 0.25})
-    assert store.value_bar(case, REFINED, DRIFT) == 0.25
+    assert value_bar(case, REFINED, DRIFT) == 0.25
 
 
 def test_a_figure_that_two_levels_give_alike_has_the_bar_of_the_displacement() -> None:
@@ -79,7 +80,7 @@ def test_a_figure_that_two_levels_give_alike_has_the_bar_of_the_displacement() -
     model[INDENTATION_FORCE] = MetricSeries(np.full(len(case.load_factors), 0.5), "1", "", 1)
     case = dataclasses.replace(case, metrics={REFINED: finer, "fem-linear": finer, "vdm-paper": model})
     drift, of_displaced = (finer[name].values[-1] for name in (DRIFT, "volume_drift_of_displaced"))
-    bars = [store.value_bar(case, REFINED, DRIFT), store.value_bar(case, "vdm-paper", INDENTATION_FORCE)]
+    bars = [value_bar(case, REFINED, DRIFT), value_bar(case, "vdm-paper", INDENTATION_FORCE)]
     assert_allclose(bars, [0.02 * abs(drift / of_displaced), 0.02 * 1.5], rtol=1e-12, atol=0)
     spread = Digest(make_run([case])).spread("vdm-paper", INDENTATION_FORCE)
     assert spread is not None

@@ -14,7 +14,8 @@ from numpy.testing import assert_allclose
 from tests.report.runs import make_case, make_run, sweep_run
 from vdmbench.measures.bars import at_full_load, reference_bar, value_bar
 from vdmbench.measures.case import MetricSeries
-from vdmbench.store.metrics_table import metrics_csv
+from vdmbench.measures.frame import frame
+from vdmbench.store.cases import metrics_csv
 from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
 from vdmbench.verdict.verdict import verdicts
 from vdmbench.verdict.words import told
@@ -92,7 +93,7 @@ def test_the_references_own_drift_has_a_bar_from_its_levels_and_nobody_elses_has
     run = make_run([case])
     written = {
         row["model"]: row["reference_error"]
-        for row in csv.DictReader(io.StringIO(metrics_csv(run)))
+        for row in csv.DictReader(io.StringIO(metrics_csv(frame(run))))
         if row["metric"] == "volume_drift" and float(row["load_factor"]) == 1.0
     }
     assert_allclose(float(written["fem-linear refined"]), 3.75e-4, rtol=1e-12, atol=0)
@@ -107,7 +108,7 @@ def test_metrics_csv_has_every_value_with_its_full_load_bar() -> None:
             {"m": 0.3}, label="b", swept={"j": "=x", "k": 2.0}, reference_error=measured, subdivisions=0
         ),
     ]
-    head, *rows = csv.reader(io.StringIO(metrics_csv(make_run(cases))))
+    head, *rows = csv.reader(io.StringIO(metrics_csv(frame(make_run(cases)))))
     assert ",".join(head) == "case,k,j,model,load_factor,metric,value,unit,reference_error"
     expected = []
     for case, swept in zip(cases, (["0.001", ""], ["2.0", "'=x"]), strict=True):
