@@ -12,14 +12,13 @@ import numpy as np
 
 from fem_reference.costs import superlu_bytes
 from solver_common.arrays import Array, Index
-from solver_common.rest_shape import rest_shape
 
 from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import SCANNED, Family, Size, split
 from ..study.schema import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of
 from .model import Model, SetUp, register
-from .scanned import from_scan
+from .scanned import from_scan, rest_shape
 
 if TYPE_CHECKING:
     from fem_reference.finite_strain import FiniteStrainProblem

@@ -1,13 +1,20 @@
-"""Bodies whose shape was measured under their weight (`gravity.scanned`): loads start from that shape."""
+"""Bodies whose shape was measured under their weight (`gravity.scanned`): loads start from that shape.
+
+The rest shape is a fixed point: its points move back by what the body, sagged from it, misses of the measured
+shape (Sellier, Journal of Fluids and Structures 27 (2011) 1461), each step scaled by Aitken's relaxation of the last
+two.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from solver_common.arrays import Array
+from solver_common.solution import solver_error
 
 from ..scene.result import REST_DISTANCE
 
@@ -16,6 +23,47 @@ if TYPE_CHECKING:
     from vdm.solution import Solution as VdmSolution
 
     S = TypeVar("S", FemSolution, VdmSolution)
+
+TOLERANCE = 1e-5  # of the largest sag, of what the sagged body misses of the measured shape
+_MOST = 40  # steps
+_LEAST_RELAXED, _MOST_RELAXED = 0.1, 3.0
+
+
+def rest_shape(measured: Array, sag: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """The points of a rest shape that sags into a measured one.
+
+    Parameters
+    ----------
+    measured : (n, 3) points under the weight [m]
+    sag : (n, 3) points at rest -> (n, 3) their displacement under the weight [m]; may raise `SolverError`
+
+    Returns
+    -------
+    rest : (n, 3) points at rest [m]
+    displacement : (n, 3) from there under the weight [m]
+
+    Raises
+    ------
+    SolverError
+        if the steps do not come to an end: a body too soft for its weight has no rest shape that they find.
+    """
+    rest, relaxed, before = measured, 1.0, np.zeros_like(measured)
+    for _ in range(_MOST):
+        displacement = sag(rest)
+        missed = measured - (rest + displacement)
+        if np.abs(missed).max() <= TOLERANCE * np.abs(displacement).max():
+            return rest, displacement
+        change = missed - before
+        if before.any():
+            relaxed *= -float(np.vdot(before, change)) / float(np.vdot(change, change))
+            relaxed = float(np.clip(relaxed, _LEAST_RELAXED, _MOST_RELAXED))
+        rest, before = rest + relaxed * missed, missed
+    raise solver_error(
+        "no-rest-shape",
+        f"no rest shape was found that sags into the scanned one: after {_MOST} steps a point is off by"
+        f" {1e3 * float(np.abs(missed).max()):.2g} mm",
+        "give a stiffer tissue, or leave out gravity.scanned",
+    )
 
 
 def from_scan(solution: S, sag: Array, seconds: float) -> S:

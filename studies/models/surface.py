@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from solver_common.arrays import Array
-from solver_common.rest_shape import rest_shape
 from solver_common.solution import SolverError
 from vdm.solvers import FIGURE_8, SOLVERS
 
@@ -21,7 +20,7 @@ from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import SCANNED, Family, split, takes_fluid
 from .model import Model as Registered
 from .model import SetUp, register
-from .scanned import from_scan
+from .scanned import from_scan, rest_shape
 
 if TYPE_CHECKING:
     from scipy import sparse

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 
 from fem_reference.finite_strain import FiniteStrainProblem
 from solver_common.arrays import Array
-from solver_common.rest_shape import rest_shape
 from solver_common.solution import SolverError
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
+from vdmbench.models.scanned import rest_shape
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study
