@@ -1,8 +1,7 @@
 """Bodies whose shape was measured under their weight (`gravity.scanned`): loads start from that shape.
 
 The rest shape is a fixed point: its points move back by what the body, sagged from it, misses of the measured
-shape (Sellier, Journal of Fluids and Structures 27 (2011) 1461), each step scaled by Aitken's relaxation of the last
-two.
+shape (Sellier, Journal of Fluids and Structures 27 (2011) 1461), each step scaled by Aitken's relaxation.
 """
 
 from __future__ import annotations
