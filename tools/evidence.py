@@ -25,8 +25,9 @@ from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.store.cases import read_run
+from vdmbench.study.config import Study, expand, geometry_of, load_study
 from vdmbench.study.files import overridden
-from vdmbench.study.registry import all_models, split
+from vdmbench.study.registry import FINITE_STRAIN, all_models, split
 from vdmbench.verdict.formatting import NOTHING, parameter_name, percent, quantity, short_percent
 
 EVIDENCE: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
@@ -466,6 +467,51 @@ def performance(name: str, arguments: Sequence[str]) -> None:
     machine = f"{bench.machine['processor']}, one thread; medians of {bench.machine['rounds']} rounds"
     of_one = table(head[2:], [row[2:] for row in rows if row[0] == own["body"]])
     show(ROOT / own["document"], own["part"], f"{machine}; the {own['body']}.\n\n{of_one}")
+
+
+# --- docs/methods/measures.md ---
+
+
+def strain(name: str, arguments: Sequence[str]) -> None:
+    """The strain of every shipped study of finite strain on three meshes, of its first case, by linear elements."""
+    own = EVIDENCE[name]
+    head = ["study", "nodes", "strain", "from the finest", "largest of any point, from the finest"]
+    show(ROOT / own["document"], own["part"], table(head, map(strain_row, arguments or finite_studies())))
+
+
+def finite_studies() -> list[str]:
+    """The shipped studies whose reference is of finite strain: where the axis of small-strain limits is one."""
+    studies = {path.stem: tomllib.loads(path.read_text())["study"] for path in sorted(CASES.glob("*.toml"))}
+    return [study for study, keys in studies.items() if split(str(keys.get("reference")))[0] in FINITE_STRAIN]
+
+
+def strain_row(study: str) -> list[str]:
+    """On three mesh sizes, each over that of the study; at a hundredth of its load, where strains are linear."""
+    case = expand(load_study(CASES / f"{study}.toml"))[0].study
+    levels = np.array([strain_on(case, size) for size in EVIDENCE["strain"]["sizes"]])
+    off = [[f"{100.0 * share:+.1f} %" for share in column[:-1] / column[-1] - 1.0] for column in levels.T]
+    nodes, strains = ([f"{value:.3g}" for value in column] for column in levels.T[:2])
+    return [study, *(" / ".join(cells) for cells in (nodes, strains, off[1], off[2]))]
+
+
+def strain_on(study: Study, size: float) -> tuple[float, float, float]:
+    """Surface nodes of a mesh, the strain that 95 % of the volume stays below there, and the largest."""
+    from fem_reference.linear import LinearProblem
+    from vdmbench.body.geometry import build_mesh
+    from vdmbench.models import Prepared
+    from vdmbench.models.elements import fem_loads
+    from vdmbench.scene.scene import build_scene
+
+    geometry = study.geometry.model_copy(update={"mesh_size": size * study.geometry.mesh_size})
+    study = study.model_copy(update={"geometry": geometry})
+    scene = build_scene(study, build_mesh(geometry_of(study)))
+    set_up = Prepared(scene, "fem-linear").set_up
+    assert set_up is not None, "linear elements take these scenes"
+    assert isinstance(set_up.problem, LinearProblem)
+    load = scene.load(0.01 * float(scene.load_factors[np.abs(scene.load_factors).argmax()]))
+    names = ("p95_principal_strain", "max_principal_strain")
+    found = set_up.problem.solve(fem_loads([load], set_up.problem.mesh), frozenset(names)).scalars
+    return float(len(scene.fixed)), *(float(found[each][0]) for each in names)
 
 
 # --- docs/evidence/claims.md ---
