@@ -195,7 +195,7 @@ def test_a_run_that_finds_fewer_cases_than_it_made_says_so(
 
     monkeypatch.setattr(rebuild, "rebuild", without_one)
     assert "no longer in results/runs/small: 1 case of this run, first " in said(
-        ["run", "small.toml"], 3, capsys
+        ["run", "small.toml", "--fresh"], 3, capsys
     )
 
 
