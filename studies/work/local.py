@@ -15,6 +15,7 @@ import multiprocessing
 import os
 import select
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -23,11 +24,12 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
-from ..machine.memory import OUT_OF_MEMORY, limit_memory, machine_memory
+from ..machine.memory import OUT_OF_MEMORY, is_lack_of_memory, limit_memory, machine_memory, memory_limits
 from ..machine.processors import usable_processors
 from .worker import Said, more_memory, run_node
 
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
+_NO_ROOM = 71  # exit code of a worker that cannot load the solvers
 _PRELOADED = (
     "vdmbench.work.worker",
     "numpy.ma",
@@ -110,7 +112,8 @@ class _Worker:
 
     def __init__(self, do: Callable[[str], str], threads: int, memory: int) -> None:
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(list(_PRELOADED))
+        # under a limit each worker looks for room before it loads: OpenBLAS in the server would ask for it for ever
+        context.set_forkserver_preload([] if memory_limits() else list(_PRELOADED))
         self.pipe, theirs = context.Pipe()
         self.process: ForkServerProcess = context.Process(target=serve, args=(theirs, do, threads, memory))
         libraries = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": str(threads)}
@@ -147,7 +150,12 @@ class _Worker:
 
 def serve(pipe: Connection, do: Callable[[str], str], threads: int, memory: int) -> None:
     """What a worker process does: node after node, until nobody asks any more."""
-    begin_worker(threads, memory)
+    try:
+        begin_worker(threads, memory)
+    except (MemoryError, ImportError, OSError) as error:
+        if not is_lack_of_memory(error):
+            raise
+        sys.exit(_NO_ROOM)
     pipe.send("")
     with contextlib.suppress(EOFError):
         while True:
@@ -167,7 +175,7 @@ def told(error: BaseException, log: str) -> Said:
 
 def _death(code: int | None, log: str) -> tuple[str, str]:
     """What an exit code of a worker that died means, and what to do."""
-    if OUT_OF_MEMORY.search(log):
+    if code == _NO_ROOM or OUT_OF_MEMORY.search(log):
         return "out of memory", more_memory()
     if code is None:
         return "the workers die before they begin", more_memory()
