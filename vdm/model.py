@@ -28,6 +28,7 @@ from vdm.formulations.paper import PaperFormulation
 from vdm.formulations.vector import VectorFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.mesh_error import MeshError
+from vdm.parts.lumps import LumpyFormulation
 from vdm.parts.solve import PartsSolver
 from vdm.peers.bem import BoundaryFormulation
 from vdm.peers.bem_sparse import SparseFormulation
@@ -156,7 +157,9 @@ class Model:
             contact_sign=contact_sign,
         )
         check_apart(support)
-        form = FORMULATIONS[formulation]
+        form: type[Formulation] = (
+            LumpyFormulation if parameters.lumps is not None else FORMULATIONS[formulation]
+        )
         check_held(form, self.surface, parameters, support.held)
         compiling = time.perf_counter()
         form.compile(self.surface, parameters)

@@ -15,7 +15,6 @@ import multiprocessing
 import os
 import select
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -155,7 +154,7 @@ def serve(pipe: Connection, do: Callable[[str], str], threads: int, memory: int)
     except (MemoryError, ImportError, OSError) as error:
         if not is_lack_of_memory(error):
             raise
-        sys.exit(_NO_ROOM)
+        os._exit(_NO_ROOM)
     pipe.send("")
     with contextlib.suppress(EOFError):
         while True:

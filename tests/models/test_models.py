@@ -142,11 +142,13 @@ VALUES = {
     "tolerance": 1e-3,
     "stop": "residual",
     "volume_row": "printed",
+    "parts": 2,
 }
 SOLVER = {
     "tolerance": "bicg",
     "stop": "figure-8",
     "volume_row": "quasi-linear",
+    "parts": "nonlinear",
 }  # of a key that the default solver has no use for
 
 

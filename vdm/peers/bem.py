@@ -92,10 +92,6 @@ class BoundaryFormulation(DisplacementFormulation):
 
     @classmethod
     def supported(cls, surface: SurfaceMesh, parameters: Parameters, held: Mask) -> BoundaryFormulation:
-        if parameters.lumps is not None:
-            from vdm.parts.lumps import LumpyFormulation
-
-            return LumpyFormulation(surface, parameters, held)
         return cls(surface, parameters, held)
 
     @classmethod
