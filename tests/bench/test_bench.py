@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -158,8 +159,8 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
         == "fem-linear, 100 ms; undecided: vdm-vector, bem"
     )
     assert found["Fastest frame of a contact at an error of at most 25 %"] == "bem, mass-spring, 10 µs"
-    page = bench_html(Bench({}, [linear, boundary, vector, spring, slow]))
-    assert ">ball, 100 nodes: fem-linear, 100 µs; undecided: bem, vdm-vector.<" in page.replace("\u00a0", " ")
+    page = re.sub("<[^>]*>", "", bench_html(Bench({}, [linear, boundary, vector, spring, slow])))
+    assert "ball, 100 nodes: fem-linear, 100 µs; undecided: bem, vdm-vector." in page.replace("\u00a0", " ")
     assert told(boundary, spring)[fastest] == "undecided: bem", "none is surely within"
     assert told(spring)[fastest] == "none"
 

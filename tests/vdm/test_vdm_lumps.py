@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from tests.vdm.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.material import Lumps, ParameterError
+from vdm.parts.lumps import LumpyFormulation
 from vdm.peers.bem import BoundaryFormulation
 
 BALL = SurfaceMesh(*icosphere(2))
@@ -33,7 +34,8 @@ def balls(
 
 def form_of(lumps: Lumps | None, nu: float) -> BoundaryFormulation:
     parameters = Parameters(shear_modulus=1.0, poisson_ratio=nu, lumps=lumps)
-    return BoundaryFormulation.supported(BALL, parameters, np.zeros(BALL.n_nodes, bool))
+    form = BoundaryFormulation if lumps is None else LumpyFormulation
+    return form(BALL, parameters, np.zeros(BALL.n_nodes, bool))
 
 
 def radial_stiffness(radii: list[float], moduli: list[float], nu: float) -> float:

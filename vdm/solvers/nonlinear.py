@@ -183,7 +183,7 @@ class NonlinearSolver:
     V is the volume that the body keeps: the polyhedron's, but of the printed form.
 
     The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
-    slope of the state itself, Anderson acceleration mixes the corrections. A last shift closes the volumes to
+    slope of the state itself, or once a step by it alone failed, Anderson acceleration mixes the corrections. A last shift closes the volumes to
     rounding. A load step starts from the last converged one and is halved where it fails; nothing of a failed step
     is kept. Where the held nodes are moved, the body starts carried along as they are, best fit by a rigid motion.
 
@@ -202,7 +202,7 @@ class NonlinearSolver:
         self.body: Large = body or Whole(problem, self.factor)
         self.free = self.body.free
         self._free_nodes = np.flatnonzero(self.free)
-        self._anderson = Anderson(HISTORY)
+        self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
         # a node that leaves the body by several of its sizes will not come back
         size = float(np.ptp(problem.body.rest, axis=0).max())
         self.reach = FURTHEST * size
@@ -228,7 +228,7 @@ class NonlinearSolver:
         if previous is None:
             self._last = self._before = self._rest
             self._largest = 0.0
-            self._anderson = Anderson(HISTORY)
+            self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
         last = self._last
         x, pressure = self._ahead(load)
         reached, width, iterations = 0.0, 1.0, 0
@@ -237,6 +237,9 @@ class NonlinearSolver:
             target = min(reached + width, 1.0)
             found, used = self._solve(_between(last.load, load, target), x, pressure)
             iterations += used
+            if found is None and not self._mixes:  # the slope misses what strains within: that is learnt
+                self._mixes = True
+                continue
             if found is None or used > HISTORY:  # on so bent a path the slopes of here mislead further on
                 self._anderson = Anderson(HISTORY)
             if found is None:
@@ -360,7 +363,7 @@ class NonlinearSolver:
                 return self._close_volume(load, balance, turn), iteration
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
             x = x.copy()
-            if body.has_slope:
+            if not self._mixes:
                 share = min(
                     1.0, LONGEST * self.reach / max(float(np.abs(change).max()), np.finfo(float).tiny)
                 )
