@@ -183,9 +183,10 @@ class NonlinearSolver:
     V is the volume that the body keeps: the polyhedron's, but of the printed form.
 
     The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
-    slope of the state itself, or once a step by it alone failed, Anderson acceleration mixes the corrections. A last shift closes the volumes to
-    rounding. A load step starts from the last converged one and is halved where it fails; nothing of a failed step
-    is kept. Where the held nodes are moved, the body starts carried along as they are, best fit by a rigid motion.
+    slope of the state itself, or once a step by it alone failed, Anderson acceleration mixes the corrections. A
+    last shift closes the volumes to rounding. A load step starts from the last converged one and is halved where it
+    fails; nothing of a failed step is kept. Where the held nodes are moved, the body starts carried along as they
+    are, best fit by a rigid motion.
 
     Parameters
     ----------
