@@ -264,6 +264,16 @@ def test_a_line_marks_some_of_many_values_and_names_are_marked_each(named: bool,
         assert [group.count("<use") for group in groups] == [marked, marked], "of two models"
 
 
+@pytest.mark.parametrize(("apart", "drawn"), [(0.0, False), (2e-5, False), (2e-3, True)])
+def test_a_parameter_that_no_error_depends_on_has_no_chart(apart: float, drawn: bool) -> None:
+    """As the force between linear models: what the turn that is taken out leaves of it is no dependence."""
+    key = "constraints.finger.force"
+    cases = [make_case({"vdm-paper": 0.3 + apart * k}, swept={key: 1.0 + k}, label=f"{k}") for k in range(3)]
+    found = error_against_parameters(Digest(make_run(cases)))
+    assert found is not None
+    assert any(isinstance(block, Figures) for block in found.blocks) == drawn
+
+
 def test_thousands_of_cases_are_cut_and_say_so() -> None:
     html = page_html(cheap_run(1200), stills=False)
     assert len(html.encode()) < MOST_BYTES
