@@ -41,6 +41,7 @@ SAMPLE = 1e-3  # seconds of a sample at least: beside it the clock's grain and a
 SAMPLES = 5
 # seconds that need no second sample in a round: what else the machine does is a small part of them
 LONG = 2e-2
+MOST = 0.5  # seconds that a model's own steps are repeated for; what is around them may take far longer than they
 FACTORS = np.array([0.5, 1.0])  # load factors of the steps that are measured
 MANY = 1000  # frames for which elements are set up: they keep factors instead of iterating
 MOST_CONDENSED = 150  # nodes up to which columns for the whole surface are worth their making
@@ -152,11 +153,15 @@ def _by_columns(problem: Problem, contact: Scene) -> tuple[float, float]:
 def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> float:
     """Median seconds of a load step, solved again and again where one is short."""
     once = float(result.seconds_per_step.min())  # the least: one that had to wait tells nothing of the others
-    if not once < LONG:  # NaN of a model that could not be set up, too
+    if not once > 0.0:  # NaN of a model that could not be set up, too; and none solves in no time
+        return math.nan
+    if once >= LONG:
         return float(np.median(result.seconds_per_step))
-    loads = scene.loads
-    calls = math.ceil(SAMPLES * calls_of_a_sample(once) / len(loads))
-    steps = [prepared.answer(loads).seconds_per_step for _ in range(calls)]
+    loads, steps, end = scene.loads, [], time.perf_counter() + MOST
+    for _ in range(math.ceil(SAMPLES * calls_of_a_sample(once) / len(loads))):
+        steps.append(prepared.answer(loads).seconds_per_step)
+        if time.perf_counter() > end:
+            break
     return median_of_samples(np.concatenate(steps))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from solver_common.solution import CONVERGED, Solution
 from tests.command import SMALL_STUDY, vdmbench_process
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
+from vdmbench.models.frames import frame_times
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.config import expand, geometry_of, load_study
 from vdmbench.study.registry import MODELS
@@ -155,3 +157,15 @@ def test_a_package_that_does_not_load_costs_its_own_models_alone(tmp_path: Path)
         assert why in told[name]
         assert why in theirs.stderr
     assert "absent_model" in told["absent"]
+
+
+@pytest.mark.parametrize(("told", "known"), [(0.0, False), (1e-9, True)])
+def test_frames_of_a_model_that_says_it_takes_no_time_have_an_end(
+    scene: Scene, told: float, known: bool
+) -> None:
+    """Millions of its steps would make up a sample, with checks of each that take a thousand times as long."""
+    models.register(_plugin(_set("seconds_per_step", lambda seconds: seconds + told)))
+    start = time.perf_counter()
+    found = frame_times(scene, ["theirs"], 1, 10.0)["theirs"]
+    assert time.perf_counter() - start < 20.0
+    assert np.isfinite(found.contact).all() == np.isfinite(found.everywhere).all() == known
