@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,30 +68,6 @@ class Results:
         from .measures.frame import frame
 
         return frame(self.data)
-
-    def to_xarray(self) -> Any:
-        """The metrics as an xarray.Dataset: a variable for each over case, model and step, with its unit.
-
-        Swept values and load factors are coordinates. Raises ImportError where xarray is not installed.
-        """
-        if find_spec("xarray") is None:
-            raise ImportError("to_xarray needs xarray, which is not installed: pip install xarray")
-        from .measures.frame import COLUMNS, frame
-
-        table = frame(self.data)
-        labels = {case.hash: case.label or case.hash[:8] for case in self.data.cases}
-        table["case"] = table["case"].map(labels)
-        index = ["case", "model", "step"]
-        found = table.pivot(index=index, columns="metric", values="value").to_xarray()
-        for name, unit in zip(table["metric"], table["unit"], strict=True):
-            found[name].attrs["units"] = unit
-        factors = table.drop_duplicates(["case", "step"]).pivot(
-            index="case", columns="step", values="load_factor"
-        )
-        found = found.assign_coords(load_factor=(("case", "step"), factors.loc[found["case"].values]))
-        per_case = table.drop_duplicates("case").set_index("case").loc[found["case"].values]
-        swept = {key: ("case", per_case[key]) for key in per_case.columns if key not in COLUMNS}
-        return found.assign_coords(swept)
 
     @cached_property
     def meshes(self) -> dict[str, Any]:

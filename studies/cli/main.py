@@ -10,42 +10,28 @@ from collections.abc import Sequence
 
 # made between two looks for garbage, which take a quarter of the time of imports if frequent
 _OBJECTS = 200_000
-_AGAIN = 0.2  # s between two looks whether an interrupt was dropped
 
 
 class _Interrupt:
     """What Ctrl-C, SIGTERM and the end of a terminal (SIGHUP) do: stop the verb, and nothing once it has stopped.
 
-    What falls into an import can come out as another error, as that of a library or a file that cannot be loaded,
-    or be dropped, by Python's own callbacks or by a library: until the verb has stopped it comes again.
+    What falls into an import can come out as another error, as that of a library or a file that cannot be loaded.
     """
 
     def __init__(self) -> None:
         self.received = self.stopped = False
 
-    def __call__(self, number: int, _: object) -> None:
-        if self.stopped or (number == signal.SIGALRM and _is_on_its_way()):
-            return
-        self.received = True
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
-        raise KeyboardInterrupt
-
-    def stop(self) -> None:
-        """The verb has stopped."""
-        self.stopped = True
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-
-
-def _is_on_its_way() -> bool:
-    """Whether something is tidied up because of an interrupt."""
-    error = sys.exception()
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__context__
-    return error is not None
+    def __call__(self, *_: object) -> None:
+        if not self.stopped:
+            self.received = True
+            raise KeyboardInterrupt
 
 
 def _dropped(error: sys.UnraisableHookArgs) -> None:
-    if error.exc_type is not KeyboardInterrupt:
+    """An interrupt that fell into one of Python's own callbacks, which drop it, comes again."""
+    if error.exc_type is KeyboardInterrupt:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)
+    else:
         sys.__unraisablehook__(error)
 
 
@@ -74,9 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if options.solves:
             require_room()
         code = options.verb(options)
-        interrupt.stop()
+        interrupt.stopped = True
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- told, whatever it is
-        interrupt.stop()
+        interrupt.stopped = True
         if interrupt.received or isinstance(error, KeyboardInterrupt):
             code = _complain_of_interrupt(options)
         else:

@@ -67,20 +67,6 @@ def test_meshes_carry_the_answers(results: Results) -> None:
     assert_allclose(warped.points, expected, rtol=0, atol=1e-12)
 
 
-def test_metrics_as_an_xarray_dataset() -> None:
-    pytest.importorskip("xarray", reason="needs xarray")
-    run = sweep_run()
-    found = Results(Path("run"), run, Path("run/report.html")).to_xarray()
-    name = "relative_l2_displacement_error"
-    for case in run.cases:
-        one = found[name].sel(case=case.label, model="vdm-paper")
-        assert_allclose(one, case.metrics["vdm-paper"][name].values, rtol=0, atol=0)
-        assert_allclose(one["load_factor"], case.load_factors, rtol=0, atol=0)
-        assert {key: one[key].item() for key in case.swept} == dict(case.swept)
-    assert found[name].attrs["units"] == "1"
-    assert found["volume_drift"].dims == ("case", "model", "step")
-
-
 def test_tables_are_frames() -> None:
     run = sweep_run()
     found = Results(Path("run"), run, Path("run/report.html"))
