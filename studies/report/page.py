@@ -22,7 +22,7 @@ from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
 from .section_convergence import mesh_convergence
 from .section_cost import run_time_against_error
-from .section_errors import error_against_load, error_against_parameters, volume_drift
+from .section_errors import error_against_load, error_against_parameters
 from .section_force import force_against_indentation
 from .section_limits import small_strain_limits
 from .section_map import doubts, map_of_words
@@ -52,7 +52,6 @@ SECTIONS_BEFORE: tuple[Make, ...] = (
 )
 SECTIONS_AFTER: tuple[Make, ...] = (
     force_against_indentation,
-    volume_drift,
     numerical_stability,
     small_strain_limits,
     anisotropy_of_the_response,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -33,6 +34,7 @@ from .svg import REFERENCE as REFERENCE_COLOUR
 from .told import axes_for_script, name_curves, tell
 
 _MOST_TICKS = 16
+_MOST_MARKED = 25  # points of a line
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 LINES = ("-", "--", "-.", ":")
 _WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
@@ -138,21 +140,35 @@ def draw(
     named: bool = True,
     **look: Any,
 ) -> None:
-    """The points of a model, joined where `look` says nothing else, in its colour; see `told.tell`."""
+    """The points of a model, joined where `look` says nothing else, in its colour; see `told.tell`.
+
+    Of a line through many points every k-th is marked.
+    """
     style = {"color": colour(model), "marker": marker(model), "linestyle": line(model), **look}
-    (curve,) = axes.plot(x, y, **style)
-    tell(curve, name, cases, named=named)
+    every = 1 if style["linestyle"] == "none" else max(1, math.ceil(len(np.atleast_1d(x)) / _MOST_MARKED))
+    (curve,) = axes.plot(x, y, markevery=every, **style)
+    tell(curve, name, cases[::every] if cases is not None else None, named=named)
 
 
 @dataclass(frozen=True)
 class Curve:
-    """The points of one model: (K,) x and y, the case of each where they have one, further looks of the line."""
+    """The points of one model: (K,) x and y, the case of each where they have one, further looks of the line.
+
+    `band` has the least and the largest (K,) y of what a point stands for: a band, or whiskers where no line joins.
+    """
 
     model: str
     x: ArrayLike
     y: ArrayLike
     cases: Sequence[int] | None = None
     look: Mapping[str, Any] = field(default_factory=dict)
+    band: tuple[ArrayLike, ArrayLike] | None = None
+
+    def ends(self) -> Array:
+        """From where to where its y go: the range of the band, else the first and the last."""
+        if self.band is None:
+            return np.asarray(self.y)[[0, -1]]
+        return np.array([np.min(self.band[0]), np.max(self.band[1])])
 
 
 def lines(
@@ -179,19 +195,17 @@ def lines(
     plot = Plot(x_label, y_label, salt)
     with plot as axes:
         for curve in curves:
-            draw(
-                axes,
-                digest.colour(curve.model),
-                curve.model,
-                curve.x,
-                curve.y,
-                cases=curve.cases,
-                **curve.look,
-            )
+            number = digest.colour(curve.model)
+            if curve.band is not None and np.any(np.not_equal(*curve.band)):
+                if curve.look.get("linestyle") == "none":
+                    axes.vlines(curve.x, *curve.band, color=colour(number), alpha=0.6, linewidth=1.0)
+                else:
+                    axes.fill_between(curve.x, *curve.band, color=colour(number), alpha=0.14, linewidth=0)
+            draw(axes, number, curve.model, curve.x, curve.y, cases=curve.cases, **curve.look)
         finish(axes)
 
     def ends(curve: Curve) -> str:
-        found = dict.fromkeys(shown(float(y)) for y in np.asarray(curve.y)[[0, -1]])
+        found = dict.fromkeys(shown(float(y)) for y in curve.ends())
         return f"{'from ' if len(found) > 1 else ''}{' to '.join(found)}"
 
     words = listed(f"{curve.model} {(told or ends)(curve)}" for curve in curves)

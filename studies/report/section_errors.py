@@ -1,343 +1,188 @@
-"""Error against every swept parameter and against the load; volume drift against the load."""
+"""Errors against every swept parameter and against the load, with the volume drift: medians, and their range."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..measures.case import CaseResult
+from ..measures.frame import at_full_load
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import DRIFT, REFERENCE, Digest
-from ..verdict.formatting import listed, parameter_name, scale_of, short_percent, swept_value
+from ..verdict.formatting import listed, parameter_name, scale_of, swept_value
 from .blocks import Block, Figure, Figures, Section, Text
-from .plots import (
-    Curve,
-    Plot,
-    colour,
-    draw,
-    limit_line,
-    line,
-    lines,
-    log_axis,
-    name_ticks,
-    own_line,
-    percent_axis,
-    percent_ticks,
-    place,
-)
+from .plots import Curve, colour, limit_line, lines, log_axis, name_ticks, own_line, percent_axis, place
 
-QUANTITIES = ((VECTOR, "Displacement error"), (DEFORMATION, "Error in change of shape"))
-PARTS = (
-    ("relative_l2_normal_error", "Normal component"),
-    ("relative_l2_tangential_error", "Tangential component"),
-    ("contact_region_error", "Contact region"),
-    ("far_field_error", "Far field"),
-)
-_MOST_POINTS = 240  # per model and figure; beyond, every k-th case is drawn
-_ASIDE = 0.05  # between the clouds of two models at a named value, where neighbours are 1 apart
-_PARTS_OF = "Normal and tangential component, contact region and far field against"
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+QUANTITIES = {VECTOR: "Displacement error", DEFORMATION: "Error in change of shape"}
 _FLAT = 5e-4  # of an error: the page prints three digits. A turn that is taken out leaves 2e-6 of quickstart
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
-_MOST_MARKED = 25  # points of a line that get a marker; of more, every k-th
 _MOST_JOINED = 12  # values of a parameter that a line through medians joins
-
-
-def error_against_parameters(digest: Digest) -> Section | None:
-    """Two groups of figures per swept parameter: vector and deformation; and, folded away, the vector's parts."""
-    if not digest.compared or not digest.swept_keys:
-        return None
-    pairs, flat = [], []
-    for k, key in enumerate(digest.swept_keys):
-        axis = _axis(digest.cases, key, alone=len(digest.swept_keys) == 1)
-        if _is_flat(digest, key):
-            flat.append(axis.name)
-            continue
-        for group, summary in ((QUANTITIES, ""), (PARTS, f"{_PARTS_OF} {axis.name}")):
-            shown = [
-                figure
-                for j, (metric, title) in enumerate(group)
-                if (figure := _against_parameter(digest, axis, metric, title, group, f"p{k}{title[:2]}{j}"))
-            ]
-            pairs += [Figures(shown, digest.legend, summary)] if shown else []
-    notes = [f"No error depends on {listed(flat)}: models and reference are linear in it."] if flat else []
-    if pairs and len(digest.swept_keys) > 1:
-        notes.append(
-            "Each point is one case at full load. Lines join the medians of the cases that share a value."
-        )
-    if (step := _stride(len(digest.cases))) > 1:
-        notes.append(f"One case in {step} is drawn, to keep the page small.")
-    if not pairs and not notes:
-        return None
-    blocks: list[Block] = [Text(" ".join(notes), kind="note")] if notes else []
-    return Section("parameters", "Error against each swept parameter", [*blocks, *pairs])
-
-
-def _is_flat(digest: Digest, key: str) -> bool:
-    """Whether all cases that differ in this parameter alone have the same errors, of every model, to rounding."""
-    groups: dict[object, list[int]] = {}
-    for k, case in enumerate(digest.cases):
-        groups.setdefault(
-            tuple(case.swept.get(other) for other in digest.swept_keys if other != key), []
-        ).append(k)
-    several = [group for group in groups.values() if len(group) > 1]
-    errors = [digest.full_loads(model, metric) for model in digest.compared for metric, _ in QUANTITIES]
-    return bool(several) and all(
-        np.isfinite(values[group]).all() and np.ptp(values[group]) <= _FLAT * np.abs(values[group]).max()
-        for values in errors
-        for group in several
-        if not np.isnan(values[group]).all()
-    )
-
-
-def _stride(cases: int) -> int:
-    return max(1, math.ceil(cases / _MOST_POINTS))
+_MOST_POINTS = 240  # of a curve that is none; beyond, every k-th value is drawn
+_ASIDE = 0.05  # between two models at a name, where neighbours are 1 apart
 
 
 @dataclass(frozen=True)
 class _Axis:
-    """A swept parameter laid out on an x axis."""
+    """What varies, laid out on an x axis: its column in the frame, and where each value is."""
 
+    key: str
     name: str
     label: str
     kind: str  # "linear", "log", "even" (numbers, evenly spaced) or "names"
-    cases: Sequence[int]  # which have the parameter
-    positions: Sequence[float]  # one per case
-    ticks: Sequence[tuple[float, str]]  # of an even axis or one of names
-    alone: bool  # whether nothing else is swept
-
-    def line(self, style: str, points: int, values: int) -> str:
-        """`style` where a line through `values` values of `points` cases means something, else "none"."""
-        ordered = self.kind != "names"
-        return style if ordered and (values <= _MOST_JOINED or (self.alone and values == points)) else "none"
+    at: Mapping[float | str, float]
+    ticks: Sequence[tuple[float, str]] = ()  # of an even axis or one of names
+    joined: bool = True  # whether a line between values means something
 
 
-def _is_placed(value: float | str | None) -> bool:
-    return isinstance(value, str) or (value is not None and math.isfinite(value))
+def error_against_parameters(digest: Digest) -> Section | None:
+    """Two charts for each swept parameter."""
+    if not digest.compared or not digest.swept_keys:
+        return None
+    rows = _rows(digest, at_full_load(digest.table))
+    blocks: list[Block] = []
+    flat, notes = [], []
+    for k, key in enumerate(digest.swept_keys):
+        axis = _axis(digest, key)
+        if _is_flat(rows, [other for other in digest.swept_keys if other != key]):
+            flat.append(axis.name)
+        elif figures := _charts(digest, rows, axis, f"p{k}"):
+            blocks.append(Figures(figures, digest.legend))
+            if (step := _stride(axis)) > 1:
+                notes.append(f"Of {axis.name} one value in {step} is drawn, to keep the page small.")
+    if blocks and len(digest.swept_keys) > 1:
+        notes.insert(0, "Medians over the cases that share a value, and their range, at full load.")
+    if flat:
+        notes.insert(0, f"No error depends on {listed(flat)}: models and reference are linear in it.")
+    if notes:
+        blocks.insert(0, Text(" ".join(notes), kind="note"))
+    return Section("parameters", "Error against each swept parameter", blocks) if blocks else None
 
 
-def _axis(all_cases: Sequence[CaseResult], key: str, *, alone: bool) -> _Axis:
-    cases = [k for k, case in enumerate(all_cases) if _is_placed(case.swept.get(key))]
-    values = [all_cases[k].swept[key] for k in cases]
-    name = parameter_name(key)
-    numbers = [float(value) for value in values if not isinstance(value, str)]
-    if len(numbers) < len(values):
-        at = {text: float(k) for k, text in enumerate(dict.fromkeys(str(value) for value in values))}
-        ticks = [(x, text) for text, x in at.items()]
-        return _Axis(name, name, "names", cases, [at[str(value)] for value in values], ticks, alone)
-    factor, unit = scale_of(next((all_cases[k].swept_units.get(key, "1") for k in cases), "1"), numbers)
+def error_against_load(digest: Digest) -> Section | None:
+    """Both errors step by step, and the volume drift of every model."""
+    if not digest.has_steps:
+        return None
+    loaded = digest.table[digest.table["load_factor"] != 0.0]
+    axis = _Axis(
+        "load_factor", "load", "load factor", "linear", {x: x for x in loaded["load_factor"].unique()}
+    )
+    rows, notes, figures = _rows(digest, loaded), [], []
+    if not rows.empty and _is_flat(rows, ["case"]):
+        notes.append("No error depends on the load: models and reference are linear.")
+    else:
+        figures += _charts(digest, rows, axis, "l")
+    drift = loaded[loaded["metric"] == DRIFT]
+    drift = drift.assign(value=drift["value"].abs().clip(lower=_DRIFT_FLOOR), bar=math.nan)
+    figures += _charts(digest, drift, axis, "v", {DRIFT: "Volume drift"})
+    if figures and len(digest.cases) > 1:
+        notes.append("Lines are medians over the cases. Bands reach from the best case to the worst.")
+    if figures:
+        notes.append("The reference's volume drifts too: no model can be told to keep it better than that.")
+    blocks: list[Block] = [Text(" ".join(notes), kind="note")]
+    blocks += [Figures(figures, digest.legend)] if figures else []
+    return Section("load", "Error against load", blocks) if notes else None
+
+
+def _rows(digest: Digest, table: DataFrame) -> DataFrame:
+    """The errors of the models that are compared."""
+    return table[table["metric"].isin(list(QUANTITIES)) & table["model"].isin(digest.compared)]
+
+
+def _is_flat(rows: DataFrame, others: Sequence[str]) -> bool:
+    """Whether all rows that are alike in `others` have the same error, of every model, to rounding."""
+    groups = rows.groupby(["model", "metric", *others], observed=True, dropna=False)["value"]
+    found = groups.agg(["min", "max", "count", "size"])
+    found = found[(found["size"] > 1) & (found["count"] > 0)]
+    alike = (found["max"] - found["min"] <= _FLAT * found["max"]) & (found["count"] == found["size"])
+    return len(found) > 0 and bool(alike.all())
+
+
+def _axis(digest: Digest, key: str) -> _Axis:
+    values = [value for case in digest.cases if (value := case.swept.get(key)) == value and value is not None]
+    name, alone = parameter_name(key), len(digest.swept_keys) == 1
+    numbers = [float(value) for value in values if not isinstance(value, str) and math.isfinite(value)]
+    if any(isinstance(value, str) for value in values):
+        at: dict[float | str, float] = {value: float(k) for k, value in enumerate(dict.fromkeys(values))}
+        return _Axis(key, name, name, "names", at, [(x, str(text)) for text, x in at.items()], joined=False)
+    unit = next((case.swept_units[key] for case in digest.cases if key in case.swept_units), "1")
+    factor, unit = scale_of(unit, numbers)
     kind, where = place([value / factor for value in numbers])
     return _Axis(
-        name=name,
-        label=f"{name} [{unit}]" if unit else name,
-        kind=kind,
-        cases=cases,
-        positions=[where[value / factor] for value in numbers],
-        ticks=[(x, swept_value(value, "1")) for value, x in where.items()],
-        alone=alone,
+        key,
+        name,
+        f"{name} [{unit}]" if unit else name,
+        kind,
+        {value: where[value / factor] for value in numbers},
+        [(x, swept_value(value, "1")) for value, x in where.items()],
+        alone or len(where) <= _MOST_JOINED,
     )
 
 
-def _against_parameter(
+def _stride(axis: _Axis) -> int:
+    return 1 if axis.joined or axis.kind == "names" else math.ceil(len(axis.at) / _MOST_POINTS)
+
+
+def _charts(
+    digest: Digest, rows: DataFrame, axis: _Axis, salt: str, titles: Mapping[str, str] = QUANTITIES
+) -> list[Figure]:
+    """A chart a metric, all on one scale; none where there is one place on the axis alone."""
+    rows = rows[np.isfinite(rows["value"])]
+    rows = rows.assign(x=rows[axis.key].map(axis.at), number=rows["case"].map(digest.place))
+    heights = [*rows["value"], *rows["bar"], *map(digest.allowed, titles)]
+    found = []
+    for k, (metric, title) in enumerate(titles.items()):
+        own = rows[rows["metric"] == metric]
+        if own["x"].nunique() > 1:
+            found.append(_chart(digest, own, axis, metric, title, heights, f"{salt}{k}"))
+    return found
+
+
+def _chart(
     digest: Digest,
+    rows: DataFrame,
     axis: _Axis,
     metric: str,
     title: str,
-    group: Sequence[tuple[str, str]],
+    heights: Sequence[float],
     salt: str,
-) -> Figure | None:
-    """One measure against a parameter, on the scale that its group shares."""
-    described = []
-    plot = Plot(axis.label, title, salt)
-    with plot as axes:
-        for rank, model in enumerate(digest.compared):
-            errors = digest.full_loads(model, metric)[axis.cases].tolist()
-            points = [
-                (x, y, case)
-                for x, y, case in zip(axis.positions, errors, axis.cases, strict=True)
-                if math.isfinite(y)
-            ]
-            if not points:
-                continue
-            aside = rank - (len(digest.compared) - 1) / 2
-            _draw_model(axes, axis, points, digest.colour(model), _ASIDE * aside, model)
-            low, high = min(y for _, y, _ in points), max(y for _, y, _ in points)
-            described.append(f"{model} from {short_percent(low)} to {short_percent(high)}")
-        if not described:
-            return None
-        bars = zip(axis.positions, digest.bars(metric)[axis.cases].tolist(), strict=True)
-        if known := _medians((x, bar) for x, bar in bars if math.isfinite(bar)):
-            style = axis.line("--", len(axis.cases), len(known))
-            x, y = zip(*known, strict=True)
-            axes.plot(
-                x,
-                y,
-                linestyle=style,
-                color=colour(REFERENCE),
-                linewidth=1.0,
-                marker="o",
-                markersize=2.5,
-                markevery=_every(style, known),
-            )
+) -> Figure:
+    models = [name for name in digest.models if (rows["model"] == name).any()]
+    curves = []
+    for rank, model in enumerate(models):
+        groups = rows[rows["model"] == model].groupby("x")
+        at = groups["value"].agg(["median", "min", "max", "count"])[:: _stride(axis)]
+        cases = groups["number"].first()[:: _stride(axis)].tolist() if (at["count"] == 1).all() else None
+        aside = _ASIDE * (rank - (len(models) - 1) / 2) if axis.kind == "names" else 0.0
+        look = {} if axis.joined else {"linestyle": "none"}
+        curves.append(Curve(model, at.index + aside, at["median"], cases, look, (at["min"], at["max"])))
+    bars = rows.groupby("x")["bar"].median().dropna()
+
+    def finish(axes: Axes) -> None:
+        if len(bars) > 1:
+            style = "--" if axis.joined else "none"
+            dots: dict[str, Any] = {
+                "marker": "o",
+                "markersize": 2.5,
+                "linewidth": 1.0,
+                "color": colour(REFERENCE),
+            }
+            axes.plot(bars.index, bars, linestyle=style, markevery=-(-len(bars) // 25), **dots)
+        elif len(bars):
+            own_line(axes, float(bars.iloc[0]))
+        limit_line(axes, digest.allowed(metric))
         if axis.kind in ("even", "names"):
             name_ticks(axes, axis.ticks)
         elif axis.kind == "log":
             log_axis(axes, "x")
-        limit_line(axes, digest.allowed(metric))
-        both = [
-            digest.full_loads(model, other)[axis.cases] for model in digest.compared for other, _ in group
-        ]
-        bars_of = (digest.bars(other)[axis.cases] for other, _ in group)
-        limits = [digest.allowed(other) for other, _ in group]
-        percent_axis(axes, np.concatenate([*both, *bars_of, limits]))
-    heading = f"{title} against {axis.name}"
-    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
+        if axis.key == "load_factor":
+            axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+        percent_axis(axes, heights)
 
-
-def _draw_model(
-    axes: Axes,
-    axis: _Axis,
-    points: Sequence[tuple[float, float, int]],
-    number: int,
-    aside: float,
-    model: str,
-) -> None:
-    """The cases of one model, and the medians over the cases that share a value where they do or form a line."""
-    medians = _medians((x, y) for x, y, _ in points)
-    style = axis.line(line(number), len(points), len(medians))
-    shared = len(medians) < len(points)
-    if shared or (style == "none" and axis.kind != "names"):
-        shift = aside if axis.kind in ("even", "names") else 0.0
-        x, y, drawn = zip(*points[:: _stride(len(axis.cases))], strict=True)
-        at = [position + shift for position in x]
-        faint = {"linestyle": "none", "markersize": 2.6, "alpha": 0.45}
-        draw(axes, number, model, at, y, cases=drawn, named=False, **faint)
-    if style != "none" or axis.kind == "names":
-        every = _every(style, medians)
-        cases = None if shared else [case for _, _, case in sorted(points)][::every]
-        x, y = zip(*medians, strict=True)
-        draw(axes, number, model, x, y, cases=cases, linestyle=style, markevery=every)
-
-
-def _every(style: str, points: Sequence[tuple[float, float]]) -> int:
-    """Of how many points one is marked: of all, unless a line shows where they are."""
-    return 1 if style == "none" else math.ceil(len(points) / _MOST_MARKED)
-
-
-def _medians(points: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """(x, median of the y at this x), in ascending x."""
-    gathered: dict[float, list[float]] = {}
-    for x, y in points:
-        gathered.setdefault(x, []).append(y)
-    # most have one value, which numpy's median takes its time for
-    return [(x, float(np.median(ys)) if len(ys) > 1 else ys[0]) for x, ys in sorted(gathered.items())]
-
-
-def error_against_load(digest: Digest) -> Section | None:
-    """Median over cases and their range, step by step; full vector and deformation on the same scale."""
-    if not digest.compared or not digest.has_steps:
-        return None
-    curves = {metric: digest.over_load(digest.compared, metric) for metric, _ in QUANTITIES}
-    heights = [
-        y for by_model in curves.values() for table in by_model.values() for ys in table.values() for y in ys
-    ]
-    if _is_constant(curves.values()):
-        text = "No error depends on the load: models and reference are linear."
-        return Section("load", "Error against load", [Text(text, kind="note")])
-    heights += [digest.allowed(metric) for metric in curves]
-    figures = [
-        _against_load(digest, curves[metric], metric, title, heights, f"l{k}")
-        for k, (metric, title) in enumerate(QUANTITIES)
-        if any(len(table) > 1 for table in curves[metric].values())  # one load is no curve
-    ]
-    if not figures:
-        return None
-    note = "Lines are medians over the cases. Bands reach from the best case to the worst."
-    blocks: list[Block] = [Text(note, kind="note")] if len(digest.cases) > 1 else []
-    return Section("load", "Error against load", [*blocks, Figures(figures, digest.legend)])
-
-
-Curves = dict[str, dict[float, list[float]]]  # model -> load factor -> values over the cases
-
-
-def _is_constant(curves: Iterable[Curves]) -> bool:
-    """Whether each model has the same errors at every load, to rounding."""
-    for table in (table for by_model in curves for table in by_model.values()):
-        medians = np.array([np.median(values) for factor, values in table.items() if factor])
-        if len(table) < 2 or np.ptp(medians) > _FLAT * np.abs(medians).max():
-            return False
-    return True
-
-
-def _against_load(
-    digest: Digest, curves: Curves, metric: str, title: str, heights: Sequence[float], salt: str
-) -> Figure:
-    own = digest.own_error(metric)
-    found, bands = [], []
-    for model, table in curves.items():
-        factors = sorted(table)
-        low, middle, high = ([float(f(table[x])) for x in factors] for f in (min, np.median, max))
-        bands.append((factors, low, high, digest.colour(model)))
-        cases = [0] * len(factors) if len(digest.cases) == 1 else None
-        found.append(Curve(model, factors, middle, cases))
-
-    def finish(axes: Axes) -> None:
-        for factors, low, high, number in bands:
-            if high != low:
-                axes.fill_between(factors, low, high, color=colour(number), alpha=0.14, linewidth=0)
-        own_line(axes, own)
-        limit_line(axes, digest.allowed(metric))
-        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
-        percent_axis(axes, [*heights, *([own] if own > 0.0 else [])])
-
-    return lines(digest, found, "load factor", title, f"{title} against load", salt, finish=finish)
-
-
-def volume_drift(digest: Digest) -> Section | None:
-    """Change of the exact enclosed volume, as a share of the volume and of the displaced volume."""
-    if not digest.has_steps:
-        return None  # one point per model: the headline has it
-    quantities = (
-        (DRIFT, "|V − V0| / V0", "Drift as a share of the volume"),
-        (
-            "volume_drift_of_displaced",
-            "|V − V0| / displaced volume",
-            "Drift as a share of the displaced volume",
-        ),
-    )
-    figures = [
-        figure
-        for k, (metric, label, title) in enumerate(quantities)
-        if (figure := _drift(digest, metric, label, title, f"v{k}")) is not None
-    ]
-    if not figures:
-        return None
-    note = (
-        "The reference drifts too: a model that is held against it cannot be told to keep the volume better."
-    )
-    if len(digest.cases) > 1:
-        note = f"The largest drift of all cases at each load, without its sign. {note}"
-    blocks: list[Block] = [Text(note, kind="note"), Figures(figures, digest.legend)]
-    return Section("volume", "Volume drift against load", blocks)
-
-
-def _drift(digest: Digest, metric: str, label: str, title: str, salt: str) -> Figure | None:
-    curves = digest.over_load(digest.models, metric)
-    if not any(len(curve) > 1 for curve in curves.values()):
-        return None  # one load is no curve
-    found = []
-    for model, curve in curves.items():
-        factors = sorted(curve)
-        found.append(
-            Curve(model, factors, [max(_DRIFT_FLOOR, *map(abs, curve[factor])) for factor in factors])
-        )
-
-    def finish(axes: Axes) -> None:
-        log_axis(axes, "y")
-        percent_ticks(axes)
-        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
-
-    return lines(digest, found, "load factor", label, title, salt, finish=finish)
+    return lines(digest, curves, axis.label, title, f"{title} against {axis.name}", salt, finish=finish)

@@ -163,7 +163,7 @@ class _Curve:
 def _curves(digest: Digest, push: Push, cases: Sequence[CaseResult]) -> dict[str, _Curve]:
     """Model -> its curve, of those that have one: a case's history, or the full load of each of several cases."""
     history = len(cases) == 1 and len(cases[0].load_factors) > 1
-    numbers = [k for k, case in enumerate(digest.cases) if any(case is one for one in cases)]
+    numbers = [digest.place[case.hash] for case in cases]
     of_cases = [push.curves(digest, case) for case in cases]
     found = {}
     for model in digest.models:

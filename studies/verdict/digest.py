@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
@@ -141,26 +141,13 @@ class Digest:
     def _columns(self) -> dict[tuple[str, str], tuple[Array, Array]]:
         """(model, metric) -> (C,) values of the cases at full load and (C,) their bars; NaN where there is none."""
         full, count = at_full_load(self.table), len(self.cases)
-        place, found = self._place, {}
+        place, found = self.place, {}
         for key, rows in full.groupby(["model", "metric"], sort=False, observed=True):
             at = rows["case"].map(place).to_numpy()
             found[key] = np.full(count, math.nan), np.full(count, math.nan)
             for column, name in zip(found[key], ("value", "bar"), strict=True):
                 column[at] = rows[name]
         return found
-
-    def over_load(self, models: Iterable[str], metric: str) -> dict[str, dict[float, list[float]]]:
-        """Model -> load factor -> the finite values of a metric over the cases, of the models that have any."""
-        rows = self.table[(self.table["metric"] == metric) & np.isfinite(self.table["value"])]
-        names = set(rows["model"])
-        return {
-            model: {
-                float(factor): values.tolist()
-                for factor, values in rows[rows["model"] == model].groupby("load_factor")["value"]
-            }
-            for model in models
-            if model in names
-        }
 
     @cached_property
     def limits(self) -> Acceptance:
@@ -300,10 +287,11 @@ class Digest:
 
     def at(self, case: CaseResult, model: str, metric: str) -> float:
         """A metric of a case at the step of its largest load; NaN where there is none."""
-        return float(self.full_loads(model, metric)[self._place[case.hash]])
+        return float(self.full_loads(model, metric)[self.place[case.hash]])
 
     @cached_property
-    def _place(self) -> dict[str, int]:
+    def place(self) -> dict[str, int]:
+        """Hash of each case -> its number."""
         return {case.hash: k for k, case in enumerate(self.cases)}
 
     def full_loads(self, model: str, metric: str) -> Array:

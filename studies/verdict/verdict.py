@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -330,6 +331,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+@lru_cache(maxsize=1)  # page, terminal and notebook show one run
 def verdicts(digest: Digest) -> Verdicts:
     """What comes out of a run."""
     # overflow is no surprise in what a model that broke down left behind

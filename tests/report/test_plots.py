@@ -8,8 +8,9 @@ import re
 import pytest
 
 from tests.report.runs import REFERENCE, make_case, make_run
+from vdmbench.report.blocks import Figures
 from vdmbench.report.plots import Plot, percent_axis
-from vdmbench.report.section_errors import error_against_load, volume_drift
+from vdmbench.report.section_errors import error_against_load, error_against_parameters
 from vdmbench.report.told import tell
 from vdmbench.verdict.digest import Digest
 
@@ -70,6 +71,19 @@ def test_one_load_that_is_left_of_a_history_is_no_curve() -> None:
         Digest(make_run([make_case({"m": 0.1}, stopped={"m": first, REFERENCE: first}, subdivisions=0)]))
         for first in (4, 1)
     )
-    for section in (error_against_load, volume_drift):
-        assert section(whole) is not None
-        assert section(short) is None
+    assert error_against_load(whole) is not None
+    assert error_against_load(short) is None
+
+
+def test_a_line_joins_the_medians_of_cases_that_share_a_value() -> None:
+    cases = [
+        make_case({"m": 0.01 * error * nu}, label=f"{k}", swept={"nu": nu, "k": float(k)}, subdivisions=0)
+        for nu in (1.0, 2.0)
+        for k, error in enumerate((3, 5, 12))
+    ]
+    section = error_against_parameters(Digest(make_run(cases)))
+    assert section is not None
+    figures = [figure for block in section.blocks if isinstance(block, Figures) for figure in block.figures]
+    assert [figure.title[-2:] for figure in figures] == ["nu", "nu", " k", " k"]
+    assert figures[0].svg.count("data-told") == 1
+    assert "m from 3 % to 24 %" in figures[0].svg, "the range of all cases"

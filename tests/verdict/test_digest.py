@@ -194,22 +194,6 @@ def test_only_what_varies_counts_as_swept() -> None:
     assert Digest(make_run(cases)).swept_keys == ["b"]
 
 
-def test_points_of_cases_that_share_a_value_are_not_joined() -> None:
-    from matplotlib.figure import Figure
-
-    from vdmbench.report.section_errors import _Axis, _draw_model
-
-    axes = Figure().add_subplot()
-    axis = _Axis("nu", "nu", "linear", range(6), [0.1] * 3 + [0.4] * 3, [], alone=False)
-    heights = [3.0, 5.0, 12.0] * 2
-    points = [(x, y, k) for k, (x, y) in enumerate(zip([0.1] * 3 + [0.4] * 3, heights, strict=True))]
-    _draw_model(axes, axis, points, 0, 0.0, "m")
-    single, medians = axes.get_lines()
-    assert single.get_linestyle() == "None", "a line through all cases would show what nobody measured"
-    assert_allclose(medians.get_ydata(), [5.0, 5.0], rtol=RTOL, atol=ATOL)
-    assert medians.get_linestyle() != "None"
-
-
 def test_bem_sparse_with_every_node_is_bem_and_is_told_once() -> None:
     """On few nodes its coarse body is the surface itself; on more nodes in any case it is a model of its own."""
     for coarse, twins in (((42.0, 42.0), {"bem-sparse": "bem"}), ((42.0, 30.0), {})):
