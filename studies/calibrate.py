@@ -165,7 +165,7 @@ def samples_of(plan: Plan, run: Run) -> tuple[tuple[Sample, ...], tuple[Sample, 
     places = {key: place for place, key in enumerate(planned)}
     samples = []
     for case in run.cases:
-        if case.reference is None:
+        if case.reference is None or case.reached != case.full_load:
             continue
         found = planned[case.hash]
         mesh = mesh_from_cache(geometry_of(found.study), plan.cache, volume=needs_volume(found.study))

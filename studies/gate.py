@@ -139,7 +139,7 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
             versions[name] = result.version
             for metric, series in case.metrics.get(name, {}).items():
                 measures[metric] = Measure(unit=series.unit, version=series.version)
-        if case.reference is not None:
+        if case.reference is not None and case.reached == case.full_load:
             for key, value in sorted(case.reference_error.items()):
                 metric = key.removeprefix("gci:")
                 if metric != key and metric in METRICS:

@@ -43,7 +43,7 @@ from vdm.solvers.figure_8 import STOPS, Figure8Solver, Stop
 from vdm.solvers.krylov import TOLERANCE, KrylovSolver
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
-from vdm.solvers.nonlinear import NonlinearSolver
+from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver
 from vdm.solvers.quasi_linear import VOLUME_ROWS, QuasiLinearSolver, VolumeRow
 from vdm.surface import SurfaceMesh
 
@@ -185,6 +185,7 @@ class Model:
         audited: `scalars["relative_residual"]`, and a status other than converged where it cannot be relied on.
         With the quasi-linear solver `scalars["path_error"]` is the share of the largest displacement so far that is
         owed to the load steps on the way; beyond 1e-3 the status, still converged, says so and what to do.
+        `scalars["load_factor"]`, there where a step failed, is the share of the way to each step that was reached.
         Of a form of boundary integrals `scalars["mesh_error"]` is what its mesh leaves open; see `vdm.mesh_error`.
         With `condition`, `scalars["condition_estimate"]` is that of the whole system that is solved, from
         `condition_estimate`, the same for all steps.
@@ -206,6 +207,7 @@ class Model:
         status: list[Status] = []
         fields = {name: np.empty((count, n_nodes)) for name in self.outputs}
         told: list[dict[str, float]] = []
+        reached = np.ones(count)
         last: Step | None = None
         seconds_setup = self.seconds_setup
         if isinstance(self.solver, PartsSolver) and loads:
@@ -223,6 +225,8 @@ class Model:
                 displacement[k], reaction_force[k], energy[k] = _results(step)
                 seconds[k] = time.perf_counter() - start
             last = judged(step, found)
+            if isinstance(step, DeformedStep):
+                reached[k] = step.reached
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
             path_error[k], mesh_error[k] = found.path, self._of_mesh(load, step)
             told.append(self.solver.scalars(load, step) if isinstance(self.solver, PartsSolver) else {})
@@ -241,6 +245,7 @@ class Model:
             parameters=self._record(),
             scalars={
                 "relative_residual": residual,
+                **({"load_factor": reached} if (reached < 1.0).any() else {}),
                 **({} if np.isnan(path_error).all() else {"path_error": path_error}),
                 **({} if np.isnan(mesh_error).all() else {"mesh_error": mesh_error}),
                 **{name: np.array([one.get(name, np.nan) for one in told]) for name in _names(told)},

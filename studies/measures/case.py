@@ -96,6 +96,15 @@ class CaseResult:
         """The step of the largest load, the last of several."""
         return full_load_step(self.load_factors)
 
+    @cached_property
+    def reached(self) -> int:
+        """The step of the largest load that the reference reached: `full_load` where it did not end before."""
+        reference = self.models.get(str(self.reference))
+        if reference is None:
+            return self.full_load
+        answered = np.array([status.ok for status in reference.status])
+        return full_load_step(np.where(answered, self.load_factors, 0.0))
+
 
 DAMAGED = "damaged"  # code of a failure: the case was done, its file cannot be read
 

@@ -40,25 +40,26 @@ def frame(run: Run) -> DataFrame:
     -------
     DataFrame with the columns of `COLUMNS` and one more for each swept key (SI). `case` is the hash, `family` a
     category in the order of `Family`, `bar` the reference's own part in the value (GCI; NaN where not measured, and
-    at other steps than that of the largest load), `full_load` whether it is that step, `status` the code of
-    the model's. The costs of `COSTS` are metrics like the others.
+    at other steps than that of the largest load that it reached), `full_load` whether it is the step of the largest
+    load, `status` the code of the model's. The costs of `COSTS` are metrics like the others.
     """
     import pandas as pd
 
     about: list[dict[str, Any]] = []  # of each case and model
-    series: list[tuple[int, str, str, float, int]] = []  # of each of their metrics
+    series: list[tuple[int, str, str, float, int, int]] = []  # of each of their metrics
     values: list[Array] = []
     factors: list[Array] = []
     codes: list[str] = []
     for case in run.cases:
         for name, result in case.models.items():
             measured, n_steps = case.metrics.get(name, {}), len(case.load_factors)
+            at = (case.full_load, case.reached) if n_steps else (0, 0)
             for metric, one in measured.items():
                 bar = value_bar(case, name, metric) if metric in METRICS and n_steps else np.nan
-                series.append((len(about), metric, one.unit, bar, case.full_load if n_steps else 0))
+                series.append((len(about), metric, one.unit, bar, *at))
                 values.append(one.values)
             for cost, unit in COSTS.items():
-                series.append((len(about), cost, unit, np.nan, case.full_load if n_steps else 0))
+                series.append((len(about), cost, unit, np.nan, *at))
                 values.append(np.broadcast_to(getattr(result, cost), n_steps))
             count = len(measured) + len(COSTS)
             factors += [case.load_factors] * count
@@ -71,15 +72,15 @@ def frame(run: Run) -> DataFrame:
     lengths = np.array([len(one) for one in values], dtype=int)
     row = np.arange(len(values)).repeat(lengths)
     step = np.arange(len(row)) - (np.cumsum(lengths) - lengths)[row]
-    of = pd.DataFrame(series, columns=["about", "metric", "unit", "bar", "full"]).take(row)
+    of = pd.DataFrame(series, columns=["about", "metric", "unit", "bar", "full", "reached"]).take(row)
     keys = list(dict.fromkeys(key for case in run.cases for key in case.swept))
     columns = [*COLUMNS[:2], *keys, "model", "family"]
     table = pd.DataFrame(about, columns=columns).take(of["about"].astype(int)).reset_index(drop=True)
     table["metric"], table["step"] = of["metric"].to_numpy(), step
     table["load_factor"] = np.concatenate([*factors, []])
     table["value"] = np.concatenate([*values, []])
-    table["full_load"] = full = step == of["full"].to_numpy(dtype=int)
-    table["bar"] = np.where(full, of["bar"], np.nan)
+    table["full_load"] = step == of["full"].to_numpy(dtype=int)
+    table["bar"] = np.where(step == of["reached"].to_numpy(dtype=int), of["bar"], np.nan)
     table["unit"], table["status"] = of["unit"].to_numpy(), codes
     table = table[[*COLUMNS[:2], "model", *keys, *COLUMNS[3:]]]
     table["family"] = pd.Categorical(table["family"], [family.value for family in Family], ordered=True)

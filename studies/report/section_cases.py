@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ..measures.bars import reference_bar
+from ..measures.bars import reference_bar, where_reached
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
@@ -46,6 +46,8 @@ def case_table(digest: Digest) -> Section | None:
     ranked = [digest.cases[k] for k in order]
     rows = ranked[: max(_OPEN_ROWS, _MOST_CELLS // len(fields))]
     note = "Errors at full load."
+    if digest.unreached:
+        note += " Where the reference ends before, at the load factor that stands beside them."
     if len(digest.cases) > 1 and digest.focus and digest.compared:
         note += f" The largest displacement error of {digest.focus} comes first."
     if len(rows) < len(ranked):
@@ -81,6 +83,9 @@ def _error(digest: Digest, model: str, metric: str) -> Callable[[CaseResult], Ce
         value, result = digest.at(case, model, metric), case.models.get(model)
         if math.isfinite(value):
             return Cell(percent(value), value=value)
+        if case.reached != case.full_load and math.isfinite(value := where_reached(case, model, metric)):
+            factor = float(case.load_factors[case.reached])
+            return Cell(f"{percent(value)} at {factor:.3g}", value=value)
         return Cell("failed", tone="bad") if result is not None and failed_steps(result) else None
 
     return of

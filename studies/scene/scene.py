@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -171,6 +171,16 @@ class Scene:
     def loads(self) -> list[SurfaceLoad]:
         """What acts in each step of the load history."""
         return [self.load(float(factor)) for factor in self.load_factors]
+
+    def factors_at(self, places: Array) -> Array:
+        """Load factors at places along the load history: 1 is its first step, 1.5 half the way from there on."""
+        factors = [0.0, *self.load_factors.tolist()]
+        return np.interp(places, range(len(factors)), factors)
+
+    def at(self, place: float) -> Scene:
+        """One step at a place along the load history; on the way to the first step the weight grows as well."""
+        factor = self.factors_at(np.array([place]))
+        return replace(self, load_factors=factor, gravity=min(place, 1.0) * self.gravity)
 
     @property
     def contact(self) -> Mask:

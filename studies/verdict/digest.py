@@ -122,6 +122,16 @@ class Outside:
 
 
 @dataclass(frozen=True)
+class Unreached:
+    """A case whose reference ended before the full load: the share that it reached, and why it ended."""
+
+    case: str
+    name: str
+    share: float
+    why: str
+
+
+@dataclass(frozen=True)
 class Digest:
     """A run with what follows from it."""
 
@@ -239,11 +249,22 @@ class Digest:
         return tuple(found)
 
     @cached_property
+    def unreached(self) -> tuple[Unreached, ...]:
+        """The cases whose reference did not reach the full load."""
+        found = []
+        for case in self.cases:
+            if case.reached != case.full_load:
+                share = abs(float(case.load_factors[case.reached] / case.load_factors[case.full_load]))
+                why = case.models[str(case.reference)].status[case.full_load].message
+                found.append(Unreached(case.hash, self.case_name(case), share, why))
+        return tuple(found)
+
+    @cached_property
     def in_range(self) -> Digest:
         """The same of the cases that can be judged; itself where that is all of them."""
-        if not self.outside:
+        beyond = {one.case for one in self.outside} | {one.case for one in self.unreached}
+        if not beyond:
             return self
-        beyond = {one.case for one in self.outside}
         return Digest(replace(self.run, cases=[case for case in self.cases if case.hash not in beyond]))
 
     def same_as_reference(self, model: str) -> bool:

@@ -31,7 +31,18 @@ from .acceptance import (
     word_of,
 )
 from .advice import Advice, NextStep, by_interaction, next_step
-from .digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, ModelSummary, Outside, Spread, failed_steps
+from .digest import (
+    CONTACT,
+    DRIFT,
+    HAUSDORFF,
+    NORMAL,
+    Digest,
+    ModelSummary,
+    Outside,
+    Spread,
+    Unreached,
+    failed_steps,
+)
 from .formatting import parameter_name, swept_value
 from .growth import Growth, PaperBound, growth_of, paper_bound
 from .inputs_known import InputsKnown, inputs_known
@@ -263,7 +274,7 @@ class Verdicts(Mapping[str, Verdict]):
     reference : what all is held against, "" for nothing
     cases, lost : with a result; failed, damaged or not run
     not_judged : why nothing at all is judged: one of the four below, "" where something is
-    outside : cases out of the reference's range, which no word counts
+    outside, unreached : cases out of the reference's range, and those whose load it did not reach; not counted
     take : what to take for each kind of interaction
     map : the words over two swept parameters, None where others are swept
     twins : model -> the one that it is in every case, under whose name alone it is told
@@ -284,6 +295,7 @@ class Verdicts(Mapping[str, Verdict]):
     lost: int = 0
     not_judged: str = ""
     outside: tuple[Outside, ...] = ()
+    unreached: tuple[Unreached, ...] = ()
     take: tuple[Advice, ...] = ()
     map: Map | None = None
     twins: dict[str, str] = field(default_factory=dict)
@@ -359,6 +371,7 @@ def _verdicts(digest: Digest) -> Verdicts:
         lost=len(run.failed) + len(run.missing),
         not_judged=nothing,
         outside=() if nothing else digest.outside,
+        unreached=digest.unreached,
         take=by_interaction(inside) if chosen else (),
         map=_map(digest, found) if chosen else None,
         twins=digest.twins,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from solver_common.arrays import Index
 from solver_common.solution import Status
 
 from ..body.mesh import Mesh
@@ -21,7 +22,8 @@ from ..scene.result import ModelResult
 if TYPE_CHECKING:
     from ..measures.case import SmallStrainLimits
 
-_ARRAYS = (
+# arrays of a result that have one entry a load step
+STEPS = (
     "displacement",
     "fluid_pressure",
     "reaction_force",
@@ -49,7 +51,7 @@ def write_answer(path: Path, result: ModelResult, run: str) -> None:
         "processor": processor_name(),  # the cache may be copied to another machine
     }
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
-    arrays |= {name: getattr(result, name) for name in _ARRAYS}
+    arrays |= {name: getattr(result, name) for name in STEPS}
     arrays |= {f"scalar/{name}": values for name, values in result.scalars.items()}
     write_arrays(path, arrays)
 
@@ -63,7 +65,7 @@ def read_answer(path: Path, run: str = "") -> ModelResult | None:
     earlier = {EARLIER: "yes"} if run and about["run"] != run else {}
     if earlier and about["processor"] != processor_name():
         earlier["measured_on"] = about["processor"]
-    stored: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
+    stored: dict[str, Any] = {name: arrays[name] for name in STEPS}
     return ModelResult(
         **stored,
         **{name: about[name] for name in _NUMBERS},
@@ -86,14 +88,14 @@ def stored_answer(cache: Path, key: str, run: str) -> ModelResult:
     return answer
 
 
-def one_step(result: ModelResult, step: int) -> ModelResult:
-    """One step of a result, S = 1."""
-    part = slice(step, step + 1)
+def steps_of(result: ModelResult, steps: Sequence[int] | Index) -> ModelResult:
+    """Some steps of a result."""
+    chosen = np.asarray(steps, dtype=int)
     return dataclasses.replace(
         result,
-        **{name: getattr(result, name)[part] for name in _ARRAYS},
-        status=result.status[part],
-        scalars={name: values[part] for name, values in result.scalars.items()},
+        **{name: getattr(result, name)[chosen] for name in STEPS},
+        status=tuple(result.status[step] for step in chosen.tolist()),
+        scalars={name: values[chosen] for name, values in result.scalars.items()},
     )
 
 
@@ -114,7 +116,7 @@ def combined(
         answers = [first]
     places = np.zeros(len(factors), dtype=int) if len(answers) == 1 else np.arange(len(factors))
     stacked: Mapping[str, Any] = {
-        name: np.concatenate([getattr(answer, name) for answer in answers])[places] for name in _ARRAYS
+        name: np.concatenate([getattr(answer, name) for answer in answers])[places] for name in STEPS
     }
     displacement = factors[:, None, None] * stacked["displacement"]
     return dataclasses.replace(

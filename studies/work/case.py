@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,14 @@ import numpy as np
 from solver_common.arrays import Array
 
 from ..body.mesh import Mesh
+from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface
 from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
 from ..measures.input_spread import InputSpread, Propagation, input_spread
 from ..measures.measurement import Measurement, hold_against, step_rms
 from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
 from ..measures.pushed import Answer
-from ..measures.reference import own_error, require_converged
+from ..measures.reference import own_error, require_answer
 from ..models import find
 from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
@@ -26,9 +28,10 @@ from ..store.cases import write_case
 from ..study.files import swept_without_folders, without_folders
 from ..study.registry import REFINED
 from ..study.schema import Study
-from .cache import combined, limits_path, read_limits, stored_answer
+from .cache import combined, limits_path, read_limits, steps_of, stored_answer
 from .keys import Wanted
 from .provenance import provenance
+from .reached import at_what_was_reached
 
 Payload = Mapping[str, Any]
 
@@ -36,8 +39,9 @@ Payload = Mapping[str, Any]
 class Block:
     """What cases on one mesh read and measure once."""
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, levels: Callable[[int], Hierarchy] | None = None) -> None:
         self.mesh = mesh
+        self.levels = levels or (lambda _: Hierarchy((mesh,)))
         self._plain = Surface(points=mesh.surface_points, triangles=mesh.triangles)
         self.answers: dict[str, ModelResult] = {}
 
@@ -61,33 +65,40 @@ def make_case(payload: Payload, block: Block) -> None:
     surface = block.surface(scene)
     wanted = [Wanted(**entry) for entry in payload["wanted"]]
     found = [(want, _result(want, scene, payload, block.answers)) for want in wanted]
-    results = {want.name: result for want, result in found if want.level == 0}
     coarse = reference = study.study.reference
+    places, found = at_what_was_reached(study, scene, found, block.levels)
+    factors, asked = scene.factors_at(places), np.flatnonzero(places % 1.0 == 0.0)
+    results = {want.name: result for want, result in found if want.level == 0}
     levels = [result for want, result in found if want.name == reference]
     for level, result in enumerate(levels):
-        require_converged(f"{reference} on the refined mesh" if level else str(reference), result)
+        require_answer(f"{reference} on the refined mesh" if level else str(reference), result, factors)
     if reference is not None and len(levels) > 1:
         reference += REFINED
         results[reference] = levels[-1]
 
     linear = {want.name for want in wanted if want.scales}
     answers = {
-        name: Answer.of(result, linear=name.removesuffix(REFINED) in linear)
+        name: Answer.of(steps_of(result, asked), linear=name.removesuffix(REFINED) in linear)
         for name, result in results.items()
     }
     names = {id(result): name for name, result in results.items()}
-    of_levels = [(names.get(id(one), ""), Answer.of(one, linear=coarse in linear)) for one in levels]
+    of_levels = [
+        (names.get(id(one), ""), Answer.of(steps_of(one, asked), linear=coarse in linear)) for one in levels
+    ]
     varied, spread, rules = partial(_varied, payload), None, {}
     if study.inputs is not None:
         step = full_load_step(scene.load_factors)
-        own = {name: result.displacement[step] for name, result in results.items()}
+        own = {name: one.displacement[step] for name, one in answers.items()}
         spread = input_spread(
             study, surface, own, lambda name: [one.displacement[step] for one in varied(name)]
         )
         rules = {name: (Propagation(study), partial(varied, name)) for name in results}
     swept, units = payload["swept"], payload["swept_units"]
     measurement = hold_against(study, mesh, swept, units, answers, of_levels, rules)
-    metrics = compare(surface, results, scene.load_factors, reference, measurement, spread)
+    if measurement is not None:
+        of_asked = [replace(one, step=int(asked[one.step])) for one in measurement.quantities]
+        measurement = replace(measurement, quantities=of_asked)
+    metrics = compare(surface, results, factors, reference, measurement, spread)
     file_hash = payload["file_hash"]
     write_case(
         Path(payload["path"]),
@@ -100,13 +111,13 @@ def make_case(payload: Payload, block: Block) -> None:
             provenance=provenance(mesh) | ({"geometry_file_hash": file_hash} if file_hash else {}),
             points=mesh.surface_points,
             triangles=mesh.triangles,
-            load_factors=scene.load_factors,
+            load_factors=factors,
             regions=scene.regions,
             models=results,
             metrics=metrics,
             reference=reference,
             # of mesh levels, the finest first
-            reference_error=own_error(surface, levels[::-1], scene.load_factors) if len(levels) > 1 else {},
+            reference_error=own_error(surface, levels[::-1], factors) if len(levels) > 1 else {},
             small_strain=_small_strain(payload),
             measurement=measurement,
             inputs=spread,

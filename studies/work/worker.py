@@ -29,7 +29,7 @@ from ..store.run_directory import add_times
 from ..study.config import geometry_of
 from ..study.errors import InputError, install_line
 from ..study.schema import Study
-from .cache import answer_path, limits_path, one_step, read_answer, write_answer, write_limits
+from .cache import answer_path, limits_path, read_answer, steps_of, write_answer, write_limits
 from .case import Block, make_case
 from .keys import level_key
 from .small_strain import small_strain_limits
@@ -110,7 +110,7 @@ def _answers(payload: Payload, node: str) -> Iterator[Said]:
             if level:
                 result = restricted(result, meshes)
             for place, one in enumerate(of_one):  # of several each is one step
-                answer = result if len(of_one) == 1 else one_step(result, place)
+                answer = result if len(of_one) == 1 else steps_of(result, [place])
                 write_answer(answer_path(cache, one["key"]), answer, payload["run"])
 
     yield _attempt(node, solve)
@@ -152,7 +152,7 @@ def _cases(payload: Payload, _: str) -> Iterator[Said]:
 
     @cache
     def block() -> Block:  # made by the first case, whose failure it is if it fails
-        return Block(_meshes(payload, 0).finest)
+        return Block(_meshes(payload, 0).finest, partial(_meshes, payload))
 
     def work(item: Payload) -> None:
         make_case({**payload, **item}, block())

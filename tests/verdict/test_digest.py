@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import make_case, make_run, sweep_run
-from vdmbench.measures.bars import at_full_load, reference_bar, value_bar
+from vdmbench.measures.bars import reference_bar, value_bar, where_reached
 from vdmbench.measures.case import MetricSeries
 from vdmbench.measures.frame import frame
 from vdmbench.store.cases import metrics_csv
@@ -137,7 +137,7 @@ def test_cases_on_the_same_mesh_share_its_measures() -> None:
 def test_full_load_is_the_largest_of_a_history_that_comes_back() -> None:
     case = make_case({"m": 0.2}, steps=(0.5, 1.0, 0.5, 0.0), subdivisions=1)
     assert case.full_load == 1
-    assert_allclose(at_full_load(case, "m", VECTOR), 0.2, rtol=RTOL, atol=ATOL)
+    assert_allclose(where_reached(case, "m", VECTOR), 0.2, rtol=RTOL, atol=ATOL)
 
 
 def test_the_first_familys_model_is_looked_at_and_its_cases_ranked(digest: Digest) -> None:

@@ -161,11 +161,13 @@ class DeformedStep(Step):
     lacking : (n_held, d) generalised force that the supports give, internal less applied [N]
     stored : elastic energy [J]
     balance : of all nodes of the body, None of a failed step and where a solver has none
+    reached : share of the way to its load at which a balance was last found
     """
 
     lacking: Array = field(repr=False)
     stored: float
     balance: Balance | None = field(default=None, repr=False)
+    reached: float = 1.0
 
     @property
     def energy(self) -> float:
@@ -326,6 +328,7 @@ class NonlinearSolver:
             status=Status("not-converged", NOT_CONVERGED.format(reached=100 * reached), REMEDY),
             lacking=lost[self.problem.held_nodes],
             stored=np.nan,
+            reached=reached,
         )
 
     def _held(self, load: Load) -> Array:

@@ -1,0 +1,115 @@
+"""Where a model fails on the way to a load step, all are asked what they answer at the load that it reached."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from solver_common.arrays import Array, Mask
+from solver_common.solution import Status
+
+from ..body.refine import Hierarchy
+from ..measures.reference import level_scene, restricted
+from ..models import run_model
+from ..models.model import BROKEN
+from ..scene.result import REFUSED, ModelResult
+from ..scene.scene import Scene
+from ..study.registry import SCANNED
+from ..study.schema import Study
+from .cache import STEPS, steps_of
+from .keys import Wanted
+
+_PARTS = 20  # of a load step: down to a whole one of them, which a way from rest reaches as well
+
+Found = list[tuple[Wanted, ModelResult]]
+
+
+def at_what_was_reached(
+    study: Study, scene: Scene, found: Found, meshes: Callable[[int], Hierarchy]
+) -> tuple[Array, Found]:
+    """Places along the load history and the results there: its steps, and what models reached part of the way.
+
+    A model is asked at what it reached, and at what others reached before. One on several mesh levels ends where
+    the first of them does: beyond, there is nothing to compare.
+
+    Parameters
+    ----------
+    meshes : mesh level -> the case's mesh with its refinements
+
+    Returns
+    -------
+    places : (S + R,) see `Scene.factors_at`; R of them no whole numbers
+    found : the results at these places
+    """
+    steps = np.arange(1.0, len(scene.load_factors) + 1.0)
+    ends: dict[
+        str, tuple[float, Status]
+    ] = {}  # steps that each model went, the last in part, and its status there
+    for want, result in found:
+        end = _end(result)
+        ends[want.name] = min(ends.get(want.name, end), end, key=lambda one: one[0])
+    if all(math.isinf(end) for end, _ in ends.values()):
+        return steps, found
+    # on the way to the first step a scanned body is no longer the scanned one
+    least = 1.0 if SCANNED in scene.extras else 0.0
+    reached = {end for end, _ in ends.values() if least < end < math.inf and end % 1.0}
+    places = np.array(sorted({*steps.tolist(), *reached}))
+    several = {want.name for want, _ in found if want.level}
+    merged = []
+    for want, result in found:
+        own = [steps_of(result, [math.ceil(place) - 1]) for place in places]
+        last, status = ends[want.name]
+        lost = places > last
+        for k in np.flatnonzero((places % 1.0 > 0.0) & ~lost).tolist():
+            there = meshes(want.level)
+            own[k] = run_model(level_scene(study, there).at(places[k]), want.name)
+            own[k] = restricted(own[k], there) if want.level else own[k]
+        # one that is asked each load for itself may answer a further one
+        gone = lost if want.name in several else lost & (places % 1.0 > 0.0)
+        merged.append((want, _without(_joined(result, own), gone, status)))
+    return places, merged
+
+
+def _end(result: ModelResult) -> tuple[float, Status]:
+    failed = [step for step, status in enumerate(result.status) if not status.ok]
+    if not failed:
+        return math.inf, result.status[-1]
+    step, status = failed[0], result.status[failed[0]]
+    share = result.scalars.get("load_factor")
+    if share is None or status.code in (REFUSED, BROKEN):
+        return float(step), status
+    return step + math.floor(_PARTS * share[step]) / _PARTS, status
+
+
+def _joined(result: ModelResult, steps: Sequence[ModelResult]) -> ModelResult:
+    """A result with other steps, of one each."""
+    arrays: Any = {name: np.concatenate([getattr(step, name) for step in steps]) for name in STEPS}
+    return dataclasses.replace(
+        result,
+        **arrays,
+        status=tuple(step.status[0] for step in steps),
+        scalars={
+            name: np.concatenate([step.scalars.get(name, np.array([np.nan])) for step in steps])
+            for name in result.scalars
+        },
+    )
+
+
+def _without(result: ModelResult, gone: Mask, why: Status) -> ModelResult:
+    """A result that has no answer to some steps."""
+    if not gone.any():
+        return result
+    each = gone[:, None, None]
+    return dataclasses.replace(
+        result,
+        displacement=np.where(each, np.nan, result.displacement),
+        reaction_force=np.where(each, np.nan, result.reaction_force),
+        fluid_pressure=np.where(gone, np.nan, result.fluid_pressure),
+        energy=np.where(gone, np.nan, result.energy),
+        volume=np.where(gone, np.nan, result.volume),
+        status=tuple(why if lost else own for lost, own in zip(gone.tolist(), result.status, strict=True)),
+    )

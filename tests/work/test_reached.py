@@ -1,0 +1,97 @@
+"""A reference that fails on the way to a load: what it reached is compared, and is never taken for the load."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.command import vdmbench
+from vdmbench.measures.case import CaseResult
+from vdmbench.report.summary import summary
+from vdmbench.store.cases import read_run
+
+SOFT = """
+[study]
+name = "soft"
+title = "A soft block under its weight and a plate"
+models = ["vdm-vector", "fem"]
+reference = "fem"
+[geometry]
+shape = "box"
+size = ["60 mm", "60 mm", "60 mm"]
+mesh_size = "30 mm"
+[tissue]
+youngs_modulus = "1 kPa"
+poisson_ratio = 0.4999
+density = "1060 kg/m^3"
+[regions.bottom]
+below = { axis = "z", fraction = 0.05 }
+[regions.top]
+above = { axis = "z", fraction = 0.95 }
+[[constraints]]
+kind = "fixed"
+region = "bottom"
+[[constraints]]
+kind = "contact"
+region = "top"
+pressure = "800 Pa"
+[gravity]
+acceleration = [0, 0, GRAVITY]
+[load]
+factors = FACTORS
+"""
+
+
+def _run(folder: Path, factors: list[float], levels: int, weight: float = 1.0, code: int = 0) -> CaseResult:
+    folder.mkdir()
+    given = {"FACTORS": factors, "GRAVITY": -9.81 * weight}
+    text = SOFT + (f"[uncertainty]\nlevels = {levels}\n" if levels > 1 else "")
+    for name, value in given.items():
+        text = text.replace(name, str(value))
+    (folder / "soft.toml").write_text(text)
+    result = vdmbench("run", "soft.toml", "--out", "out", "--cache", folder / "cache", cwd=folder)
+    assert result.returncode == code, result.stdout + result.stderr
+    (case,) = read_run(folder / "out").cases
+    return case
+
+
+@pytest.mark.parametrize(("before", "levels"), [([], 2), ([0.1], 1)])
+def test_the_load_that_was_reached_is_compared_and_is_not_the_full_load(
+    tmp_path: Path, before: list[float], levels: int
+) -> None:
+    case = _run(tmp_path / "whole", [*before, 1.0], levels, code=3)
+    *kept, reached, full = case.load_factors.tolist()
+    assert kept == before
+    assert full == 1.0
+    assert case.full_load == len(before) + 1
+    assert case.reached == len(before)
+    for name in {"fem", str(case.reference)}:
+        status = case.models[name].status
+        assert [one.ok for one in status] == [*(True for _ in before), True, False]
+        assert "beyond" in status[-1].message
+    assert case.models["vdm-vector"].status[-1].ok
+    errors = case.metrics["vdm-vector"]["relative_l2_displacement_error"].values
+    assert np.isnan(errors[-1])
+
+    # the same load by itself; to the first step the weight grows as well
+    alone = _run(tmp_path / "part", [*before, reached], levels, weight=1.0 if before else reached)
+    for name, metrics in alone.metrics.items():
+        for metric, series in metrics.items():
+            found = case.metrics[name][metric].values
+            assert_allclose(found[: len(before)], series.values[:-1], rtol=1e-6, atol=1e-9, err_msg=metric)
+            if np.isfinite(found[-2]):  # distances are of the full load
+                assert_allclose(found[-2], series.values[-1], rtol=1e-6, atol=1e-9, err_msg=metric)
+    own = "relative_l2"
+    assert (own in alone.reference_error) == (levels > 1)
+    for key, value in alone.reference_error.items():
+        if "distance" not in key:
+            assert_allclose(case.reference_error[key], value, rtol=1e-4, atol=1e-9, err_msg=key)
+
+    told = summary(read_run(tmp_path / "whole" / "out"))
+    assert {verdict["word"] for verdict in told["verdicts"].values()} == {"not judged"}
+    assert told["judgement"]["unreached"][0]["share"] == reached
+    page = (tmp_path / "whole" / "out" / "report.html").read_text()
+    assert f"at {reached:.3g}" in page
