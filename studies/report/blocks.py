@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from markupsafe import Markup
 
 from ..measures.uncertainty import is_resolved
+from ..verdict.digest import Spread
 from ..verdict.formatting import NOT_MEASURED, NOTHING, number, of_unit, percent
 
 
@@ -44,6 +45,15 @@ def bar_detail(
     if not math.isfinite(bar):
         return unknown
     return f"± {shown(bar)}" + ("" if is_resolved(value, bar) else "\nunresolved")
+
+
+def spread_cell(spread: Spread | None, unit: str) -> Cell | None:
+    """The median over the cases with its bar, and the worst of several."""
+    if spread is None:
+        return None
+    bar = bar_detail(spread.median, spread.median_bar, lambda value: of_unit(value, unit), unknown="")
+    worst = f"worst {of_unit(spread.worst, unit)}" if spread.cases > 1 else ""
+    return Cell(of_unit(spread.median, unit), "\n".join(filter(None, [bar, worst])), spread.median)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from ..verdict.formatting import (
     NOTHING,
     exact_percent,
     measure,
-    of_unit,
     percent,
     plural,
     quantity,
@@ -22,7 +21,7 @@ from ..verdict.formatting import (
 )
 from ..verdict.verdict import Limit, Verdict, Verdicts
 from ..verdict.words import TITLES, said, to_do, why_not
-from .blocks import Cell, Field, Section, Table, Text, bar_detail, frame_table
+from .blocks import Cell, Field, Section, Table, Text, frame_table, spread_cell
 from .section_cost import time_notes
 
 TONES = {"yes": "good", "no": "bad", "not judged": "muted"}
@@ -159,7 +158,7 @@ def _table(digest: Digest) -> Table:
     scalar = any(math.isfinite(digest.floor(summary.name)) for summary in digest.summaries)
 
     def spread(metric: str, unit: str = "1") -> Any:
-        return lambda summary: _median(digest.spread(summary.name, metric), unit)
+        return lambda summary: spread_cell(digest.spread(summary.name, metric), unit)
 
     fields = [
         Field("Model", lambda summary: Cell(summary.name, _about(summary))),
@@ -182,16 +181,8 @@ def _about(summary: ModelSummary) -> str:
     return ", ".join(about)
 
 
-def _median(spread: Spread | None, unit: str) -> Cell | None:
-    if spread is None:
-        return None
-    bar = bar_detail(spread.median, spread.median_bar, lambda value: of_unit(value, unit), unknown="")
-    worst = f"worst {of_unit(spread.worst, unit)}" if spread.cases > 1 else ""
-    return Cell(of_unit(spread.median, unit), "\n".join(filter(None, [bar, worst])), spread.median)
-
-
 def _displacement(digest: Digest, summary: ModelSummary) -> Cell | None:
-    cell, floor = _median(summary.vector, "1"), digest.floor(summary.name)
+    cell, floor = spread_cell(summary.vector, "1"), digest.floor(summary.name)
     if cell is None or not math.isfinite(floor):
         return cell
     return Cell(cell.text, f"{cell.detail}\nfloor {percent(floor)}", cell.value)

@@ -26,7 +26,7 @@ from .section_errors import error_against_load, error_against_parameters
 from .section_force import force_against_indentation
 from .section_limits import small_strain_limits
 from .section_map import doubts, map_of_words
-from .section_measures import all_measures, anisotropy_of_the_response
+from .section_measures import all_measures
 from .section_scene import scene
 from .section_stability import numerical_stability
 from .section_view import heading, still, surfaces
@@ -54,7 +54,6 @@ SECTIONS_AFTER: tuple[Make, ...] = (
     force_against_indentation,
     numerical_stability,
     small_strain_limits,
-    anisotropy_of_the_response,
     run_time_against_error,
     all_measures,
 )

@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 
 from ..measures.case import CaseResult
-from ..measures.uncertainty import CONVERGING, DIVERGING, TOO_SLOW, ErrorEstimate, estimate_limit
+from ..measures.uncertainty import CONVERGING, DIVERGING, ErrorEstimate, estimate_limit
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, percent, plain, quantity, short_percent
+from ..verdict.formatting import percent, plain, quantity
 from .blocks import Cell, Field, Figure, Figures, Section, Table, Text, bar_detail, frame_table
 from .plots import Curve, lines, log_axis, percent_axis
 
@@ -54,13 +53,13 @@ def mesh_convergence(digest: Digest) -> Section | None:
         "Each figure is the work of the contact at full load on one mesh. The order comes from the three finest "
         "meshes. Where it lies between 0.5 and 4 the limit is extrapolated with it, and ± is the grid convergence "
         "index of the finest mesh: 1.25 times its estimated error. Elsewhere ± is three times the largest "
-        "difference between meshes. A model that converges has a limit of its own. How far that is from the limit "
-        "of the reference is its structural error, which no finer mesh removes."
+        "difference between meshes. A model that is another scheme on some meshes has no limit. A model that "
+        "converges has one of its own. How far that is from the limit of the reference is its structural error, "
+        "which no finer mesh removes."
     )
-    blocks = [Text(sentence) for sentence in _verdict(found, digest.reference)]
     figure = Figures([_figure(digest, found, fixed)], digest.legend)
     note = Text(reading, kind="note")
-    return Section("convergence", "Mesh convergence", [*blocks, figure, _table(digest, found, fixed), note])
+    return Section("convergence", "Mesh convergence", [figure, _table(digest, found, fixed), note])
 
 
 def _series(digest: Digest, cases: Sequence[CaseResult], model: str) -> _Series | None:
@@ -72,37 +71,6 @@ def _series(digest: Digest, cases: Sequence[CaseResult], model: str) -> _Series 
         return None
     limit, estimate = estimate_limit(values, [b / a for a, b in itertools.pairwise(sizes)])
     return _Series(model, sizes, values, schemes, limit, estimate)
-
-
-def _verdict(found: Sequence[_Series], reference: str | None) -> list[str]:
-    converge = [s for s in found if s.behaviour == CONVERGING and s.model != reference]
-    rest = [s for s in found if s.behaviour != CONVERGING]
-    sentences = []
-    if converge:
-        orders = listed(f"{s.model} with order {plain(s.estimate.observed_order, 2)}" for s in converge)
-        sentences.append(f"Under refinement {orders} come{'s' if len(converge) == 1 else ''} to rest.")
-    for s in rest:
-        if s.behaviour == CHANGED:
-            sentences.append(
-                f"Of {s.model} no order and no limit is told: it is not one scheme on these meshes but "
-                f"{_schemes_in_words(s)}."
-            )
-            continue
-        growth = plain(s.values[0] / s.values[-1], 3)
-        change = f"from the coarsest to the finest mesh its answer changes by a factor of {growth}"
-        if s.behaviour in (DIVERGING, TOO_SLOW):
-            sentences.append(f"{s.model} does not: its levels are {s.behaviour}, {change}.")
-        else:
-            sentences.append(f"No limit of {s.model} can be told: its levels are {s.behaviour}, {change}.")
-    return sentences
-
-
-def _schemes_in_words(s: _Series) -> str:
-    """Each scheme with its mesh sizes, the coarsest first."""
-    sizes: dict[str, list[str]] = {}
-    for size, scheme in zip(reversed(s.sizes), reversed(s.schemes), strict=True):
-        sizes.setdefault(scheme, []).append(quantity(size, "m"))
-    return listed(f"{scheme} at {listed(where)}" for scheme, where in sizes.items())
 
 
 def _table(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> Table:
@@ -145,7 +113,8 @@ def _figure(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> 
     scale = fixed.limit if fixed else max(abs(value) for s in found for value in s.values)
     label = f"work, of the limit of {fixed.model}" if fixed else "work, of the largest"
     curves = [
-        Curve(s.model, [1e3 * h for h in s.sizes], [value / scale for value in s.values]) for s in found
+        Curve(s.model, [1e3 * h for h in s.sizes[::-1]], [value / scale for value in s.values[::-1]])
+        for s in found
     ]
 
     def finish(axes: Axes) -> None:
@@ -153,9 +122,5 @@ def _figure(digest: Digest, found: Sequence[_Series], fixed: _Series | None) -> 
         log_axis(axes, "x")
         axes.invert_xaxis()
 
-    def told(curve: Curve) -> str:
-        finest, coarsest = (short_percent(float(np.asarray(curve.y)[k])) for k in (0, -1))
-        return f"from {coarsest} to {finest}"
-
     title = "Work of the contact against mesh size, refined to the right"
-    return lines(digest, curves, "mesh size [mm]", label, title, "g0", finish=finish, told=told)
+    return lines(digest, curves, "mesh size [mm]", label, title, "g0", finish=finish)

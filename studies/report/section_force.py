@@ -1,10 +1,9 @@
-"""Force against indentation: under a pressure contact, and where a region is moved by a given amount."""
+"""Force against indentation: under a contact, under an indenter, and where a region is moved by a given amount."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +11,6 @@ from matplotlib.axes import Axes
 from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
-from ..study.schema import Constraint
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, quantity, scale_of
 from ..verdict.loading import (
@@ -24,7 +22,7 @@ from ..verdict.loading import (
     name_of,
     weighs,
 )
-from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table
+from .blocks import Block, Cell, Field, Figure, Figures, Section, Text, frame_table
 from .plots import Curve, lines
 
 _CONTACT_NOTE = (
@@ -42,193 +40,108 @@ _INDENTER_NOTE = (
 _WEIGHT_NOTE = "The body's weight acts without load too: no curve starts at the origin."
 
 
-Curves = Mapping[str, tuple[Array, Array]]  # model -> (S,) lengths [m], (S,) loads
-
-
 @dataclass(frozen=True)
 class Push:
-    """One place where cases are pushed; `curves` of a case has the models whose curve is known."""
+    """One place where a case is pushed: model -> (S,) lengths [m] and (S,) loads [unit]."""
 
     name: str
-    x_label: str
-    y_label: str
-    unit: str  # of the loads
+    length: str  # what it is called
+    load: str
+    unit: str
     note: str
-    curves: Callable[[Digest, CaseResult], Curves]
+    curves: Mapping[str, tuple[Array, Array]]
 
 
 def force_against_indentation(digest: Digest) -> Section | None:
-    """How stiff the body feels where it is pushed: key cases, or without a load history all cases together."""
+    """How stiff the body feels where the key cases push it: a chart of a load history, rows of single loads."""
     figures: list[Figure] = []
-    tables: list[Table] = []
+    rows: list[tuple[str, Push, str]] = []
     notes: dict[str, None] = {}
-    for cases, title in _groups(digest):
-        for push in _pushes(cases):
-            curves = _curves(digest, push, cases)
-            if not curves:
-                continue
+    for role, case in digest.key_cases:
+        title = f"{digest.case_name(case)}{f' ({role})' if role else ''}"
+        for push in _pushes(digest, case):
             place = f"{push.name}, {title}" if push.name else title
-            if _is_one_load(curves):
-                tables.append(_table(digest, push, curves, place, f"force-{len(tables)}"))
+            if len(case.load_factors) > 1:
+                figures.append(_drawing(digest, case, push, place, f"f{len(figures)}"))
             else:
-                figures.append(_drawing(digest, push, curves, place, f"f{len(figures)}"))
+                rows += [(place, push, model) for model in digest.models if model in push.curves]
             notes[push.note] = None
-            if any(weighs(case) for case in cases):
+            if weighs(case):
                 notes[_WEIGHT_NOTE] = None
     if not notes:
         return None
-    drawn = [Figures(figures, digest.legend)] if figures else []
-    blocks: list[Block] = [Text(" ".join(notes), kind="note"), *drawn, *tables]
+    blocks: list[Block] = [Text(" ".join(notes), kind="note")]
+    blocks += [Figures(figures, digest.legend)] if figures else []
+    if rows:
+        fields = [
+            Field("Case", lambda row: row[0]),
+            Field("Model", lambda row: row[2]),
+            Field("Length", lambda row: Cell(*_told(row, 0, "m", row[1].length)), "m"),
+            Field("Load", lambda row: Cell(*_told(row, 1, row[1].unit, row[1].load)), rows[0][1].unit),
+        ]
+        blocks.append(frame_table(rows, fields, "force", mark=lambda row: digest.mark(row[2])))
     return Section("force", "Force against indentation", blocks)
 
 
-def _groups(digest: Digest) -> list[tuple[Sequence[CaseResult], str]]:
-    """(cases of one figure, what they are called)."""
-    if digest.has_steps:
-        return [
-            ([case], f"{digest.case_name(case)}{f' ({role})' if role else ''}")
-            for role, case in digest.key_cases
-        ]
-    if len(digest.cases) > 1:
-        return [(list(digest.cases), "all cases")]
-    only = digest.cases[0] if digest.cases else None
-    # one load of a given pressure is a point that the table has; the force of a movement stands nowhere else
-    return [([only], "the only case")] if only is not None and (moved(only) or _indenters(only)) else []
+def _told(row: tuple[str, Push, str], which: int, unit: str, name: str) -> tuple[str, str, float]:
+    value = float(row[1].curves[row[2]][which][0])
+    return quantity(value, unit), name, value
 
 
-def _pushes(cases: Sequence[CaseResult]) -> list[Push]:
-    contacts = [c for c in cases[0].study.constraints if c.kind == "contact"]
-    names, indenters = list(moved(cases[0])), _indenters(cases[0])
+def _pushes(digest: Digest, case: CaseResult) -> Iterator[Push]:
+    """Where a case is pushed, with the models whose curve is known."""
+    constraints = case.study.constraints
+    contacts = [c for c in constraints if c.kind == "contact"]
     # what pulls has no inwards; on an edge the normals of its nodes are no direction of it
-    pulls = any(c.kind in ("line", "traction") for c in cases[0].study.constraints)
+    elsewhere = moved(case) or any(c.kind in ("line", "traction", "indenter") for c in constraints)
     found: list[Push] = []
-    how: tuple[str, str, Callable[[CaseResult], float | None]] | None = None
-    if any(contact_resultant(case) is not None for case in cases):
-        how = ("contact force", "N", contact_resultant)
-    elif any(contact_pressure(case) is not None for case in cases):
-        how = ("contact pressure", "Pa", contact_pressure)
-    elif len(cases) == 1 and (contacts or not (names or indenters or pulls)):
-        how = ("load factor", "1", lambda _: 1.0)
-    if how is not None:
-        y_label, unit, load_of = how
-        place, curves = listed(name_of(c) for c in contacts), partial(_pushed_in, load_of=load_of)
-        found.append(Push(place, "indentation", y_label, unit, _CONTACT_NOTE, curves))
-    for indenter in indenters:
-        place = name_of(indenter)
-        found.append(Push(place, "depth", "indenter force", "N", _INDENTER_NOTE, _of_indenter))
-    for name in names:
-        curves = partial(_of_movement, name=name)
+    if contacts or not elsewhere:
+        load, unit, size = "load factor", "1", 1.0
+        if (force := contact_resultant(case)) is not None:
+            load, unit, size = "contact force", "N", force
+        elif (pressure := contact_pressure(case)) is not None:
+            load, unit, size = "contact pressure", "Pa", pressure
+        depths = indentation(case, case.models, digest.surfaces[case.hash].normals)
+        curves = {model: (depth, case.load_factors * size) for model, depth in depths.items()}
+        found.append(Push(listed(map(name_of, contacts)), "indentation", load, unit, _CONTACT_NOTE, curves))
+    for entry in (c for c in constraints if c.kind == "indenter"):
+        curves = {
+            model: (case.load_factors * float(entry.depth or 0.0), result.scalars["indenter_force"])
+            for model, result in case.models.items()
+            if "indenter_force" in result.scalars
+        }
+        found.append(Push(name_of(entry), "depth", "indenter force", "N", _INDENTER_NOTE, curves))
+    for name in moved(case):
+        curves = {model: movement_force(case, model, name) for model in case.models}
         found.append(Push(name, "prescribed displacement", "reaction force", "N", _MOVED_NOTE, curves))
-    return found
+    for push in found:
+        known = {m: curve for m, curve in push.curves.items() if np.isfinite(curve).all(axis=0).any()}
+        if known:
+            yield replace(push, curves=known)
 
 
-def _pushed_in(digest: Digest, case: CaseResult, load_of: Callable[[CaseResult], float | None]) -> Curves:
-    """Indentation under a load that is known at load factor 1."""
-    load = load_of(case)
-    if load is None:
-        return {}
-    depths = indentation(case, case.models, digest.surfaces[case.hash].normals)
-    return {model: (depth, case.load_factors * load) for model, depth in depths.items()}
-
-
-def _of_movement(_: Digest, case: CaseResult, name: str) -> Curves:
-    if name not in moved(case):
-        return {}
-    return {model: movement_force(case, model, name) for model in case.models}
-
-
-def _of_indenter(_: Digest, case: CaseResult) -> Curves:
-    depths = [float(entry.depth) for entry in _indenters(case)]  # a study has one
-    return {
-        name: (case.load_factors * depths[0], result.scalars["indenter_force"])
-        for name, result in case.models.items()
-        if depths and "indenter_force" in result.scalars
-    }
-
-
-def _indenters(case: CaseResult) -> list[Constraint]:
-    return [entry for entry in case.study.constraints if entry.kind == "indenter"]
-
-
-@dataclass(frozen=True)
-class _Curve:
-    """The answers of one model: K lengths [m] and loads, the case of each, and whether they are one history."""
-
-    lengths: Array
-    loads: Array
-    cases: Sequence[int]
-    joined: bool
-
-
-def _curves(digest: Digest, push: Push, cases: Sequence[CaseResult]) -> dict[str, _Curve]:
-    """Model -> its curve, of those that have one: a case's history, or the full load of each of several cases."""
-    history = len(cases) == 1 and len(cases[0].load_factors) > 1
-    numbers = [digest.place[case.hash] for case in cases]
-    of_cases = [push.curves(digest, case) for case in cases]
-    found = {}
-    for model in digest.models:
-        points = []
-        for number, case, known in zip(numbers, cases, of_cases, strict=True):
-            for step in range(len(case.load_factors)) if history else (case.full_load,):
-                if model in known and np.isfinite([part[step] for part in known[model]]).all():
-                    points.append((float(known[model][0][step]), float(known[model][1][step]), number))
-        if points:
-            lengths, loads, of = zip(*points, strict=True)
-            found[model] = _Curve(np.array(lengths), np.array(loads), of, history)
-    return found
-
-
-def _is_one_load(curves: Mapping[str, _Curve]) -> bool:
-    """Whether all loads are one, or all movements: numbers in a row, which a chart shows as an empty frame."""
-    for values in ([c.lengths for c in curves.values()], [c.loads for c in curves.values()]):
-        gathered = np.concatenate(values)
-        if np.ptp(gathered) <= 1e-9 * np.abs(gathered).max():
-            return True
-    return False
-
-
-def _table(digest: Digest, push: Push, curves: Mapping[str, _Curve], place: str, name: str) -> Table:
-    fields = [
-        Field("Model", lambda model: model),
-        Field(_capital(push.x_label), lambda model: _range(curves[model].lengths, "m"), "m"),
-        Field(_capital(push.y_label), lambda model: _range(curves[model].loads, push.unit), push.unit),
-    ]
-    return frame_table(list(curves), fields, name, caption=place, mark=digest.mark)
-
-
-def _range(values: Array, unit: str) -> Cell:
-    """One value, or the least and the largest."""
-    ends = dict.fromkeys(quantity(float(end), unit) for end in (values.min(), values.max()))
-    return Cell(" to ".join(ends), value=float(values[0]) if len(ends) == 1 else None)
-
-
-def _capital(words: str) -> str:
-    return f"{words[:1].upper()}{words[1:]}"
-
-
-def _drawing(digest: Digest, push: Push, curves: Mapping[str, _Curve], place: str, salt: str) -> Figure:
-    length, length_unit = scale_of("m", np.concatenate([curve.lengths for curve in curves.values()]))
-    force, force_unit = scale_of(push.unit, np.concatenate([curve.loads for curve in curves.values()]))
-    found = [
-        Curve(
-            model,
-            curve.lengths / length,
-            curve.loads / force,
-            curve.cases,
-            {"named": curve.joined} | ({} if curve.joined else {"linestyle": "none"}),
-        )
-        for model, curve in curves.items()
-    ]
+def _drawing(digest: Digest, case: CaseResult, push: Push, place: str, salt: str) -> Figure:
+    models = [model for model in digest.models if model in push.curves]
+    (length, length_unit), (force, force_unit) = (
+        scale_of(unit, np.concatenate([push.curves[model][k] for model in models]))
+        for k, unit in enumerate(("m", push.unit))
+    )
+    curves = []
+    for model in models:
+        x, y = np.array(push.curves[model])[:, np.isfinite(push.curves[model]).all(axis=0)]
+        curves.append(Curve(model, x / length, y / force, [digest.place[case.hash]] * len(x)))
 
     def finish(axes: Axes) -> None:
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
 
     def told(curve: Curve) -> str:
-        own = curves[curve.model]
-        last = int(np.argmax(np.abs(own.lengths)))
-        return f"{quantity(float(own.loads[last]), push.unit)} at {quantity(float(own.lengths[last]), 'm')}"
+        x, y = np.asarray(curve.x) * length, np.asarray(curve.y) * force
+        last = int(np.argmax(np.abs(x)))
+        return f"{quantity(float(y[last]), push.unit)} at {quantity(float(x[last]), 'm')}"
 
-    x_label, y_label = f"{push.x_label} [{length_unit}]", f"{push.y_label} [{force_unit}]".replace(" []", "")
-    title = f"{_capital(push.y_label)} against {push.x_label}, {place}"
-    return replace(lines(digest, found, x_label, y_label, title, salt, finish=finish, told=told), title=place)
+    x_label, y_label = f"{push.length} [{length_unit}]", f"{push.load} [{force_unit}]".replace(" []", "")
+    title = f"{push.load.capitalize()} against {push.length}, {place}"
+    return replace(
+        lines(digest, curves, x_label, y_label, title, salt, finish=finish, told=told), title=place
+    )

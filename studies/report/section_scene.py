@@ -15,7 +15,7 @@ from ..measures.case import CaseResult
 from ..scene.result import REST_DISTANCE
 from ..study.schema import Constraint, Inclusion
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, plain, plural, quantity, scale_of, short_percent
+from ..verdict.formatting import listed, plain, plural, quantity, scale_of, short_percent, span
 from ..verdict.loading import kind_of, name_of
 from .blocks import Scene, Still
 from .picture import COLOUR_MAPS, Panel, still_of
@@ -183,7 +183,7 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     if told := _scan_words(cases):
         rows.append(("Scan", told))
     size = _over(cases, "geometry", "mesh_size", "m")
-    nodes = _span([len(other.points) for other in cases], "1", 9)
+    nodes = span([len(other.points) for other in cases], "1", 9)
     rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))
     for constraint in case.study.constraints:
         name, kind = name_of(constraint), kind_of(constraint)
@@ -195,10 +195,10 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
 def _inclusion_words(number: int, entry: Inclusion, case: CaseResult, cases: Sequence[CaseResult]) -> str:
     """Its name, size and moduli over all cases, and who leaves it out."""
     same = [found[number] for other in cases if len(found := _inclusions(other)) > number]
-    young = _span([one.youngs_modulus for one in same], "Pa")
+    young = span([one.youngs_modulus for one in same], "Pa")
     ratio = [one.poisson_ratio for one in same if one.poisson_ratio is not None]
     size = f"{plain(2e3 * entry.ball.radius, 2)} mm across" if entry.ball else ""
-    told = (f"Poisson ratio {_span(ratio, '1')}" if ratio else "", size, _homogeneous(case))
+    told = (f"Poisson ratio {span(ratio, '1')}" if ratio else "", size, _homogeneous(case))
     return ", ".join(filter(None, [entry.name, f"Young's modulus {young}", *told]))
 
 
@@ -254,7 +254,7 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
             elif kind_of(constraint) == "constrained" and constraint.displacement is not None:
                 found.setdefault("m", []).append(factor * float(np.linalg.norm(constraint.displacement)))
     told = [
-        f"peak {_span(values, 'Pa')}" if unit == "peak" else _span(values, unit)
+        f"peak {span(values, 'Pa')}" if unit == "peak" else span(values, unit)
         for unit, values in found.items()
     ]
     return " or ".join(told)
@@ -263,18 +263,7 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
 def _over(cases: Iterable[CaseResult], table: str, key: str, unit: str) -> str:
     """The values of a key of the study over all cases; empty where none has it."""
     values = [getattr(getattr(case.study, table), key, None) for case in cases]
-    return _span([float(value) for value in values if isinstance(value, int | float)], unit)
-
-
-def _span(values: Sequence[float], unit: str, digits: int = 4) -> str:
-    """ "0.1 to 0.4 N", one number where all are the same, empty without any."""
-    if not values:
-        return ""
-    # a force on tissue is told in newtons from a hundredth on
-    in_newtons = unit == "N" and 0.01 <= max(map(abs, values)) < 1e3
-    factor, shown = (1.0, "N") if in_newtons else scale_of(unit, values)
-    ends = dict.fromkeys(plain(end / factor, digits) for end in (min(values), max(values)))
-    return f"{' to '.join(ends)} {shown}".strip()
+    return span([float(value) for value in values if isinstance(value, int | float)], unit)
 
 
 def _lengths(extents: Array) -> str:

@@ -43,7 +43,6 @@ def numerical_stability(digest: Digest) -> Section | None:
     if not found:
         return None
     blocks: list[Block] = [Text(sentence) for sentence in _verdict(found)]
-    blocks.append(_solvers(digest, found))
     blocks.append(_table(digest, found))
     blocks.append(Text(_reading_note(), kind="note"))
     for number, ladder in enumerate(found):
@@ -98,59 +97,7 @@ def _reading_note() -> str:
     )
 
 
-# --- the tables ---
-
-
-def _solvers(digest: Digest, found: Sequence[Ladder]) -> Table:
-    """One row for each solver: how far its measures went where it was right, and where it was not."""
-
-    def on(model: str) -> list[Ladder]:
-        return [ladder for ladder in found if model in ladder.readings]
-
-    def most(measure: str) -> Any:
-        """Of what was right, the largest finite value."""
-
-        def of(model: str) -> Cell:
-            right = [r for ladder in on(model) for r in ladder.readings[model] if r is not None and r.ok]
-            values = [value for r in right if math.isfinite(value := getattr(r, measure))]
-            return _exponent(max(values, default=math.nan))
-
-        return of
-
-    def breaks(model: str) -> Cell:
-        ends = [
-            f"{parameter_name(ladder.key)} {ladder.text(value)}"
-            for ladder in on(model)
-            for value, _ in ladder.breakdowns(model)
-        ]
-        return Cell("; ".join(ends)) if ends else Cell("nowhere", tone="muted")
-
-    fields = [
-        Field("Solver", lambda model: model),
-        Field("Condition", most("condition"), "#", "up to"),
-        Field("Residual", most("residual"), "#", "up to"),
-        Field("From trusted", most("difference"), "#", "up to"),
-        Field(
-            "Volume drift", lambda model: _exponent(_on_base(found, model)), "#", "on the study's own values"
-        ),
-        Field("Left without load", most("left"), "#", "up to"),
-        Field("Breaks down at", breaks),
-    ]
-    models = list(dict.fromkeys(name for ladder in found for name in ladder.readings))
-    about = {"caption": "What each solver stands", "open_rows": 60}
-    return frame_table(models, fields, "stability_solvers", mark=digest.mark, **about)
-
-
-def _exponent(value: float) -> Cell:
-    return Cell(f"{value:.1e}", value=value) if math.isfinite(value) else Cell(NOTHING)
-
-
-def _on_base(found: Sequence[Ladder], model: str) -> float:
-    """The drift of a model in the case that all ladders start from, NaN where it is on none of them."""
-    for ladder in (ladder for ladder in found if model in ladder.readings and ladder.base in ladder.values):
-        reading = ladder.readings[model][ladder.values.index(float(ladder.base or 0.0))]
-        return reading.drift if reading is not None and reading.ok else math.nan
-    return math.nan
+# --- the table ---
 
 
 class _Side(NamedTuple):
@@ -200,8 +147,7 @@ def _table(digest: Digest, found: Sequence[Ladder]) -> Table:
         Field("Status", status),
         Field("Remedy", lambda row: row.reading.remedy if row.reading is not None else None),
     ]
-    about = {"caption": "Where, and what the status says", "open_rows": 60}
-    return frame_table(rows, fields, "stability", mark=lambda row: _mark(digest, row.models), **about)
+    return frame_table(rows, fields, "stability", mark=lambda row: _mark(digest, row.models), open_rows=60)
 
 
 def _mark(digest: Digest, models: Sequence[str]) -> int | None:
@@ -209,11 +155,7 @@ def _mark(digest: Digest, models: Sequence[str]) -> int | None:
 
 
 def _who(models: Sequence[str], ladder: Ladder) -> str:
-    if len(models) == len(ladder.readings) > 1:
-        return "all"
-    if not ladder.breakdowns(models[0]) and len(ladder.readings) > len(models) > 0.6 * len(ladder.readings):
-        return "all others"
-    return ", ".join(models)
+    return "all" if len(models) == len(ladder.readings) > 1 else ", ".join(models)
 
 
 # --- the figures ---

@@ -130,22 +130,14 @@ def test_a_movement_is_drawn_for_model_and_reference() -> None:
     )
 
 
-def test_one_load_is_a_table_and_no_empty_frame() -> None:
+def test_one_load_is_a_row_and_no_empty_frame() -> None:
     section = force_section(moved_case(steps=(1.0,)))
     assert not any(isinstance(block, Figures) for block in section.blocks)
     (table,) = (block for block in section.blocks if isinstance(block, Table))
     assert [[cell.text for cell in row] for row in table.rows] == [
-        ["m", "5.00 mm", "800 mN"],
-        [REFERENCE, "5.00 mm", "1.60 N"],
+        ["tool, the only case", "m", "5.00 mm", "800 mN"],
+        ["tool, the only case", REFERENCE, "5.00 mm", "1.60 N"],
     ]
-    assert force_against_indentation(Digest(make_run([make_case({"m": 0.1}, steps=(1.0,))]))) is None
-    same_force = [make_case({"m": 0.1 * k}, label=str(k), steps=(1.0,)) for k in (1, 2)]
-    section = force_section(*same_force)
-    (table,) = (block for block in section.blocks if isinstance(block, Table))
-    assert table.rows[0][2].text == "500 mN"
-    assert " to " in table.rows[0][1].text, "of two cases"
-    other_force = make_case({"m": 0.1}, label="other", steps=(1.0,), contact={"force": 1.0})
-    assert len(figures_of(force_section(*same_force, other_force))) == 1
 
 
 def test_contact_and_movement_of_one_scene_each_have_a_figure() -> None:
