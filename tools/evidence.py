@@ -20,7 +20,7 @@ import numpy as np
 import tomli_w
 
 from tools.documents import CASES, ROOT, RUNS, finished, show, table
-from vdmbench.measures.bars import at_full_load, reference_bar, value_bar
+from vdmbench.measures.bars import reference_bar, value_bar, where_reached
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
@@ -83,7 +83,7 @@ def slashed(values: Sequence[float] | np.ndarray) -> str:
 
 def means(cases: Sequence[CaseResult], metric: str) -> float:
     """Mean of a metric of the reference at full load."""
-    return float(np.mean([at_full_load(case, str(case.reference), metric) for case in cases]))
+    return float(np.mean([where_reached(case, str(case.reference), metric) for case in cases]))
 
 
 def own_error(cases: Sequence[CaseResult]) -> list[float]:
@@ -139,7 +139,7 @@ def accuracy_row(row: Mapping[str, Any], *, surface: Path | None = None, runs: P
     cells += [slashed(own_error(cases)), as_per_cent(means(cases, "tangential_share"))]
     for model in EVIDENCE["accuracy"]["columns"]:
         measures = (*MEASURES, NORMAL) if model in ALONG_NORMALS else MEASURES
-        errors = np.array([[at_full_load(case, model, measure) for case in cases] for measure in measures])
+        errors = np.array([[where_reached(case, model, measure) for case in cases] for measure in measures])
         if not np.isfinite(errors).all():
             cells.append(NOTHING)
             continue
@@ -220,7 +220,7 @@ def ratio_rows(
 
     for ratio in own["ratios"]:
         here = [c for c in cases if (c.swept[ratio_key], c.swept[inside_key]) == (ratio, "tissue")]
-        volume = [abs(at_full_load(c, str(c.reference), "volume_drift_of_displaced")) for c in here]
+        volume = [abs(where_reached(c, str(c.reference), "volume_drift_of_displaced")) for c in here]
         forms = [cell("bem", ratio, inside) for inside in own["inside"]]
         elements = cell("fem-linear", ratio, "tissue")
         yield [body, str(ratio), slashed(own_error(here)), as_per_cent(np.mean(volume)), *forms, elements]
@@ -228,9 +228,9 @@ def ratio_rows(
 
 def _with_volume(case: CaseResult, model: str) -> tuple[float, ...]:
     reference = str(case.reference)
-    drift, own = (at_full_load(case, name, "volume_drift") for name in (model, reference))
-    displaced = own / at_full_load(case, reference, "volume_drift_of_displaced")
-    return (*(at_full_load(case, model, measure) for measure in MEASURES), abs((drift - own) / displaced))
+    drift, own = (where_reached(case, name, "volume_drift") for name in (model, reference))
+    displaced = own / where_reached(case, reference, "volume_drift_of_displaced")
+    return (*(where_reached(case, model, measure) for measure in MEASURES), abs((drift - own) / displaced))
 
 
 def _mean_cell(cells: Sequence[str]) -> str:
@@ -274,7 +274,7 @@ def answer(errors: Sequence[float]) -> str:
 
 
 def _displacement_errors(cases: Sequence[CaseResult], model: str) -> list[float]:
-    return [at_full_load(case, model, VECTOR) for case in cases if model in case.models]
+    return [where_reached(case, model, VECTOR) for case in cases if model in case.models]
 
 
 def scene_cells(cases: Sequence[CaseResult], models: Mapping[str, str]) -> list[str]:
@@ -422,7 +422,7 @@ def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
     head = ["model", "failed", "median error", "worst", f"within {short_percent(limit)}", "surely"]
     rows = []
     for model in models:
-        errors = np.array([at_full_load(case, model, VECTOR) for case in cases])
+        errors = np.array([where_reached(case, model, VECTOR) for case in cases])
         bars = np.array([value_bar(case, model, VECTOR) for case in cases])
         within, surely = float(np.mean(errors <= limit)), float(np.mean(errors + bars <= limit))
         there = np.flatnonzero(np.isfinite(errors))

@@ -20,7 +20,7 @@ from tests.vdm import vdm_shapes
 from tools.documents import ROOT, show, table
 from tools.evidence import EVIDENCE, MEASURES, RUNS, finished, kept, slashed
 from vdmbench.body.geometry import build_mesh
-from vdmbench.measures.bars import at_full_load, reference_bar
+from vdmbench.measures.bars import reference_bar, where_reached
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.warnings import scene_warnings
 from vdmbench.store.cases import read_run
@@ -143,7 +143,7 @@ def solved(name: str, body: Body) -> Iterator[Row]:
 
 
 def _row(body: str, load: str, case: CaseResult) -> Row:
-    errors = {m: [at_full_load(case, m, measure) for measure in MEASURES] for m in (FORM, ELEMENTS)}
+    errors = {m: [where_reached(case, m, measure) for measure in MEASURES] for m in (FORM, ELEMENTS)}
     status = case.models[FORM].status[case.full_load]
     inputs = case.study.model_dump(exclude_none=True)
     of_scene = scene_warnings(
