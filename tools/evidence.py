@@ -486,11 +486,14 @@ def finite_studies() -> list[str]:
 
 
 def strain_row(study: str) -> list[str]:
-    """On three mesh sizes, each over that of the study; at a hundredth of its load, where strains are linear."""
+    """On three mesh sizes, each over that of the study, at a hundredth of load and weight: strains are linear."""
     case = expand(load_study(CASES / f"{study}.toml"))[0].study
+    if case.gravity is not None:
+        weight = tuple(0.01 * float(component) for component in case.gravity.acceleration)
+        case = case.model_copy(update={"gravity": case.gravity.model_copy(update={"acceleration": weight})})
     levels = np.array([strain_on(case, size) for size in EVIDENCE["strain"]["sizes"]])
     off = [[f"{100.0 * share:+.1f} %" for share in column[:-1] / column[-1] - 1.0] for column in levels.T]
-    nodes, strains = ([f"{value:.3g}" for value in column] for column in levels.T[:2])
+    nodes, strains = [f"{n:.0f}" for n in levels[:, 0]], [f"{strain:.3g}" for strain in levels[:, 1]]
     return [study, *(" / ".join(cells) for cells in (nodes, strains, off[1], off[2]))]
 
 
