@@ -9,7 +9,7 @@ from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.registry import Family
 from ..verdict.advice import Advice, Figures
-from ..verdict.digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, ModelSummary, Spread, digest_of
+from ..verdict.digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, Spread, digest_of
 from ..verdict.formatting import (
     NOTHING,
     exact_percent,
@@ -155,34 +155,34 @@ def headline(digest: Digest) -> Section | None:
 
 
 def _table(digest: Digest) -> Table:
-    scalar = any(math.isfinite(digest.floor(summary.name)) for summary in digest.summaries)
+    scalar = any(math.isfinite(digest.floor(name)) for name in digest.models)
 
     def spread(metric: str, unit: str = "1") -> Any:
-        return lambda summary: spread_cell(digest.spread(summary.name, metric), unit)
+        return lambda name: spread_cell(digest.spread(name, metric), unit)
 
     fields = [
-        Field("Model", lambda summary: Cell(summary.name, _about(summary))),
+        Field("Model", lambda name: Cell(name, _about(digest, name))),
         *([Field("Normal error", spread(NORMAL), "1")] if scalar else []),
         Field("Contact region", spread(CONTACT), "1"),
         Field("Hausdorff distance", spread(HAUSDORFF, "m"), "m"),
-        Field("Displacement error", lambda summary: _displacement(digest, summary), "1"),
+        Field("Displacement error", lambda name: _displacement(digest, name), "1"),
         Field("Change of shape", spread(DEFORMATION), "1"),
-        Field("Volume drift", lambda summary: _drift(summary.drift), "1", detail="worst"),
-        Field("Set-up", lambda summary: _time(summary, summary.seconds_setup), "s"),
-        Field("A frame", lambda summary: _time(summary, summary.seconds_per_step, frame=True), "s"),
-        Field("Memory", lambda summary: summary.peak_bytes, "B"),
+        Field("Volume drift", lambda name: _drift(digest.spread(name, DRIFT)), "1", detail="worst"),
+        Field("Set-up", lambda name: _time(digest, name, digest.costs[name].set_up), "s"),
+        Field("A frame", lambda name: _time(digest, name, digest.costs[name].frame, frame=True), "s"),
+        Field("Memory", lambda name: digest.costs[name].memory, "B"),
     ]
-    return frame_table(digest.summaries, fields, "headline", mark=lambda summary: digest.colour(summary.name))
+    return frame_table(digest.models, fields, "headline", mark=digest.mark)
 
 
-def _about(summary: ModelSummary) -> str:
-    about = ["reference"] if summary.is_reference else []
-    about += [f"incomplete in {plural(summary.failed_cases, 'case')}"] if summary.failed_cases else []
-    return ", ".join(about)
+def _about(digest: Digest, name: str) -> str:
+    about = ["reference"] if name == digest.reference else []
+    stopped = digest.stopped.get(name, 0)
+    return ", ".join([*about, *([f"incomplete in {plural(stopped, 'case')}"] if stopped else [])])
 
 
-def _displacement(digest: Digest, summary: ModelSummary) -> Cell | None:
-    cell, floor = spread_cell(summary.vector, "1"), digest.floor(summary.name)
+def _displacement(digest: Digest, name: str) -> Cell | None:
+    cell, floor = spread_cell(digest.spread(name, VECTOR), "1"), digest.floor(name)
     if cell is None or not math.isfinite(floor):
         return cell
     return Cell(cell.text, f"{cell.detail}\nfloor {percent(floor)}", cell.value)
@@ -196,11 +196,11 @@ def _drift(spread: Spread | None) -> Cell | None:
     return Cell(percent(spread.worst, signed=True), bar, spread.worst)
 
 
-def _time(summary: ModelSummary, seconds: float, *, frame: bool = False) -> Cell | None:
-    marks = [mark.removesuffix(" run") for mark in summary.marks]
-    how = ["iterative"] if frame and summary.iterative else []
-    if frame and math.isfinite(summary.seconds_everywhere):
-        how.append(f"{quantity(summary.seconds_everywhere, 's')} all nodes")
+def _time(digest: Digest, name: str, seconds: float, *, frame: bool = False) -> Cell | None:
+    cost, everywhere = digest.costs[name], digest.frame_everywhere(name)
+    how = ["iterative"] if frame and cost.iterative else []
+    how += [f"{quantity(everywhere, 's')} all nodes"] if frame and math.isfinite(everywhere) else []
+    marks = [mark.removesuffix(" run") for mark in cost.marks]
     return Cell(quantity(seconds, "s"), "\n".join([*how, *marks]), seconds)
 
 
@@ -223,7 +223,7 @@ def _reading(digest: Digest) -> str:
         "Volume drift is the change of the enclosed volume. A linear answer adds some in second order; elements "
         "add the tissue's compression and what flat facets leave out: read it beside the reference's own."
     )
-    return " ".join([*parts, *time_notes(digest.summaries)])
+    return " ".join([*parts, *time_notes(digest.costs.values())])
 
 
 # --- for a terminal and for programs ---
@@ -232,32 +232,30 @@ def _reading(digest: Digest) -> str:
 def terminal_rows(digest: Digest) -> list[dict[str, str]]:
     """The rows of a table that fits 80 columns: a line a model, and one each for the worst case and for notes."""
     rows: list[dict[str, str]] = []
-    for summary in digest.summaries:
-        spreads = {"displacement": summary.vector, "change of shape": summary.deformation}
+    metrics = {"displacement": VECTOR, "change of shape": DEFORMATION}
+    for name, cost in digest.costs.items():
+        spreads = {key: digest.spread(name, metric) for key, metric in metrics.items()}
         errors = {key: percent(spread.median) if spread else NOTHING for key, spread in spreads.items()}
-        if summary.is_reference:
-            own = map(digest.own_error, (VECTOR, DEFORMATION))
-            errors = {key: f"± {percent(bar)}" for key, bar in zip(spreads, own, strict=True)}
-        times = {
-            "set-up": quantity(summary.seconds_setup, "s"),
-            "per frame": quantity(summary.seconds_per_step, "s"),
-        }
-        rows.append({"model": summary.name, **(errors if digest.compared else {}), **times})
-        further = [{"model": f"  {note}"} for note in _terminal_notes(digest, summary)]
-        if summary.vector is not None and summary.vector.cases > 1:
+        if name == digest.reference:
+            errors = {key: f"± {percent(digest.own_error(metric))}" for key, metric in metrics.items()}
+        times = {"set-up": quantity(cost.set_up, "s"), "per frame": quantity(cost.frame, "s")}
+        rows.append({"model": name, **(errors if digest.compared else {}), **times})
+        further = [{"model": f"  {note}"} for note in _terminal_notes(digest, name)]
+        if (vector := spreads["displacement"]) is not None and vector.cases > 1:
             worst = {key: percent(spread.worst) if spread else NOTHING for key, spread in spreads.items()}
             further.insert(0, {"model": "  worst case", **worst})
         rows += [dict.fromkeys(rows[-1], "") | row for row in further]
     return rows
 
 
-def _terminal_notes(digest: Digest, summary: ModelSummary) -> list[str]:
-    notes = ["reference, own error"] if summary.is_reference else []
-    if math.isfinite(floor := digest.floor(summary.name)):
-        normal = digest.median(summary.name, NORMAL)
+def _terminal_notes(digest: Digest, name: str) -> list[str]:
+    notes = ["reference, own error"] if name == digest.reference else []
+    if math.isfinite(floor := digest.floor(name)):
+        normal = digest.median(name, NORMAL)
         notes.append(f"along normals: {percent(normal)} off, floor of displacement {percent(floor)}")
-    notes += [f"no answer in {plural(summary.failed_cases, 'case')}"] if summary.failed_cases else []
-    return notes + ([f"times: {', '.join(summary.marks)}"] if summary.marks else [])
+    stopped, marks = digest.stopped.get(name, 0), digest.costs[name].marks
+    notes += [f"no answer in {plural(stopped, 'case')}"] if stopped else []
+    return notes + ([f"times: {', '.join(marks)}"] if marks else [])
 
 
 def headline_rows(run: Run) -> list[dict[str, str]]:
@@ -283,20 +281,21 @@ def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
     """
     digest = digest_of(run)
     found: dict[str, dict[str, dict[str, Any]]] = {}
-    for summary in digest.summaries:
-        units = {VECTOR: "1", DEFORMATION: "1", NORMAL: "1", CONTACT: "1", HAUSDORFF: "m", DRIFT: "1"}
-        spreads = {name: (digest.spread(summary.name, name), unit) for name, unit in units.items()}
-        costs = {"seconds_setup": "s", "seconds_per_step": "s", "seconds_everywhere": "s", "peak_bytes": "B"}
-        found[summary.name] = {
+    units = {VECTOR: "1", DEFORMATION: "1", NORMAL: "1", CONTACT: "1", HAUSDORFF: "m", DRIFT: "1"}
+    for name, cost in digest.costs.items():
+        times = {"seconds_setup": cost.set_up, "seconds_per_step": cost.frame}
+        times["seconds_everywhere"] = digest.frame_everywhere(name)
+        found[name] = {
             **{
-                name: _numbers(spread.median, spread.worst, spread.median_bar, spread.worst_bar, unit=unit)
-                for name, (spread, unit) in spreads.items()
-                if spread is not None
+                metric: _numbers(spread.median, spread.worst, spread.median_bar, spread.worst_bar, unit=unit)
+                for metric, unit in units.items()
+                if (spread := digest.spread(name, metric)) is not None
             },
-            **{name: _numbers(getattr(summary, name), unit=unit) for name, unit in costs.items()},
+            **{key: _numbers(seconds, unit="s") for key, seconds in times.items()},
+            "peak_bytes": _numbers(cost.memory, unit="B"),
         }
-        for name in ("seconds_setup", "seconds_per_step"):
-            found[summary.name][name]["measured"] = list(summary.marks)
+        for key in ("seconds_setup", "seconds_per_step"):
+            found[name][key]["measured"] = list(cost.marks)
     return found
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
 
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..verdict.digest import EARLIER, ELSEWHERE, ONCE, REFERENCE, Digest, ModelSummary
+from ..verdict.digest import EARLIER, ELSEWHERE, ONCE, REFERENCE, Cost, Digest
 from ..verdict.formatting import listed, quantity, short_percent
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Plot, budget_line, colour, draw, limit_line, own_line, percent_axis, time_ticks
@@ -22,9 +22,9 @@ BUDGETS = {
 
 def run_time_against_error(digest: Digest) -> Section | None:
     """Time per frame, and set-up as a hollow marker, against the median error; whiskers reach best and worst."""
-    compared = [s for s in digest.summaries if s.name in digest.compared and s.seconds_per_step > 0]
+    compared = [name for name in digest.compared if digest.costs[name].frame > 0]
     measures = ((VECTOR, "Displacement error"), (DEFORMATION, "Error in change of shape"))
-    spreads = [digest.spread(summary.name, metric) for summary in compared for metric, _ in measures]
+    spreads = [digest.spread(name, metric) for name in compared for metric, _ in measures]
     heights = [height for one in spreads if one for height in (one.best, one.median, one.worst)]
     figures = [
         figure
@@ -44,25 +44,25 @@ def run_time_against_error(digest: Digest) -> Section | None:
     return Section("cost", "Run time against error", blocks)
 
 
-def time_notes(summaries: Sequence[ModelSummary]) -> list[str]:
+def time_notes(costs: Iterable[Cost]) -> list[str]:
     """What times and memory of these models mean where they are not simply those of a solve in this run."""
-    notes = []
-    if earlier := [s.name for s in summaries if EARLIER in s.marks]:
+    notes, costs = [], list(costs)
+    if earlier := [s.model for s in costs if EARLIER in s.marks]:
         notes.append(
             f"Measured earlier: {listed(earlier)}. Results and times come from an earlier run; the machine may "
             "have been less busy then, or busier."
         )
-    if elsewhere := [s.name for s in summaries if ELSEWHERE in s.marks]:
+    if elsewhere := [s.model for s in costs if ELSEWHERE in s.marks]:
         notes.append(
             f"Measured on another machine than this page was made on: {listed(elsewhere)}. Compare these times "
             "with times of that machine only."
         )
-    if once := [s.name for s in summaries if ONCE in s.marks]:
+    if once := [s.model for s in costs if ONCE in s.marks]:
         notes.append(
             f"Not measured in turns, but taken from one answer in this study: {listed(once)}. They are slow, or on "
             "a mesh of their own."
         )
-    if iterative := [s.name for s in summaries if s.iterative]:
+    if iterative := [s.model for s in costs if s.iterative]:
         notes.append(
             f"Solved iteratively, as suits the few loads of a study: {listed(iterative)}. With factors kept, the "
             "same elements take longer to set up and less for a frame; vdmbench bench measures that."
@@ -72,43 +72,43 @@ def time_notes(summaries: Sequence[ModelSummary]) -> list[str]:
 
 def _pareto(
     digest: Digest,
-    compared: Sequence[ModelSummary],
+    compared: Sequence[str],
     metric: str,
     title: str,
     heights: Sequence[float],
     salt: str,
 ) -> Figure | None:
-    points = [(s, spread) for s in compared if (spread := digest.spread(s.name, metric))]
+    points = [(digest.costs[m], spread) for m in compared if (spread := digest.spread(m, metric))]
     if not points:
         return None
-    reference = next((s for s in digest.summaries if s.is_reference), None)
+    reference = digest.costs.get(str(digest.reference))
     own, allowed = points[0][1].median_bar, digest.allowed(metric)
     plot = Plot("time", title, salt)
     with plot as axes:
-        for summary, spread in points:
-            k, frame, setup = digest.colour(summary.name), summary.seconds_per_step, summary.seconds_setup
+        for cost, spread in points:
+            k, frame, setup = digest.colour(cost.model), cost.frame, cost.set_up
             if spread.worst > spread.best:
                 ends = [spread.best, spread.worst]
                 axes.plot([frame, frame], ends, color=colour(k), linewidth=1.0, alpha=0.6)
             if setup > 0 and math.isfinite(setup):
                 axes.plot([frame, setup], [spread.median] * 2, ":", color=colour(k), linewidth=1.0)
                 hollow: dict[str, Any] = {"markerfacecolor": "none", "linestyle": "-"}
-                draw(axes, k, f"{summary.name}, set-up", [setup], [spread.median], named=False, **hollow)
-            draw(axes, k, summary.name, [frame], [spread.median], markersize=6.5, linestyle="none")
+                draw(axes, k, f"{cost.model}, set-up", [setup], [spread.median], named=False, **hollow)
+            draw(axes, k, cost.model, [frame], [spread.median], markersize=6.5, linestyle="none")
         _lines(axes, reference, own, allowed)
         time_ticks(axes)
         percent_axis(axes, [*heights, allowed, *([own] if own > 0.0 else [])])
     described = [
-        f"{summary.name} {quantity(summary.seconds_per_step, 's')} per frame at {short_percent(spread.median)}"
-        for summary, spread in points
+        f"{cost.model} {quantity(cost.frame, 's')} per frame at {short_percent(spread.median)}"
+        for cost, spread in points
     ]
     heading = f"Run time against {title.lower()}"
     return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
 
 
-def _lines(axes: Axes, reference: ModelSummary | None, own: float, allowed: float) -> None:
-    if reference is not None and reference.seconds_per_step > 0:
-        axes.axvline(reference.seconds_per_step, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+def _lines(axes: Axes, reference: Cost | None, own: float, allowed: float) -> None:
+    if reference is not None and reference.frame > 0:
+        axes.axvline(reference.frame, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
     own_line(axes, own)
     limit_line(axes, allowed)
     for name, seconds in BUDGETS.items():

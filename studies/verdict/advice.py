@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.registry import Family, family_of, is_surface, model_names, split
 from .acceptance import FRAME_TIME, UNDECIDED, WITHIN, YES
 from .digest import Digest
@@ -86,7 +87,7 @@ def next_step(digest: Digest, model: str, word: str, why: Sequence[Reason]) -> N
         return NextStep("finer mesh")
     others = [name for name in digest.compared if name != model and _within(digest, name)]
     if others:
-        quick = min(others, key=lambda name: digest.summary(name).seconds_per_step)
+        quick = min(others, key=lambda name: digest.costs[name].frame)
         return NextStep("another", figures(digest, quick))
     if causes.keys() == {TIME}:
         return NextStep("coarser mesh")
@@ -139,7 +140,7 @@ def _resting(digest: Digest) -> Advice:
 
 def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
     limit = next((c.allowed for c in digest.limits.criteria if c.key == FRAME_TIME), math.inf)
-    quick = [n for n in surface if limit == math.inf or digest.summary(n).seconds_per_step <= limit]
+    quick = [n for n in surface if limit == math.inf or digest.costs[n].frame <= limit]
     if not quick:
         return Advice(MOVING, "none quick enough", allowed=limit)
     return Advice(MOVING, "closest surface", (figures(digest, _closest(digest, quick)),))
@@ -147,7 +148,7 @@ def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
 
 def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
     """A cut makes a new body: the least set-up, and what the closest form's costs."""
-    first = min(surface, key=lambda name: digest.summary(name).seconds_setup)
+    first = min(surface, key=lambda name: digest.costs[name].set_up)
     names = dict.fromkeys([first, _closest(digest, surface)])
     return Advice(CUTTING, "set-up", tuple(figures(digest, name) for name in names))
 
@@ -166,19 +167,15 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
 
 def figures(digest: Digest, name: str) -> Figures:
     """What is known of a model."""
-    summary, limits = digest.summary(name), digest.limits
-    vector, shape = (
-        math.nan if spread is None else spread.median for spread in (summary.vector, summary.deformation)
-    )
-    within = sum(limits.state(case, name) == WITHIN for case in digest.cases)
+    cost, limits = digest.costs[name], digest.limits
     return Figures(
         name,
-        vector,
-        shape,
-        summary.seconds_per_step,
-        summary.seconds_setup,
+        digest.median(name, VECTOR),
+        digest.median(name, DEFORMATION),
+        cost.frame,
+        cost.set_up,
         digest.same_as_reference(name),
-        within,
+        sum(limits.state(case, name) == WITHIN for case in digest.cases),
         len(digest.cases),
     )
 
@@ -203,12 +200,12 @@ def _within(digest: Digest, name: str) -> bool:
 
 def _better(digest: Digest, model: str) -> str | None:
     """A model of another family that is closer and faster per frame, in every case."""
-    mine = digest.summary(model).seconds_per_step
+    mine = digest.costs[model].frame
     better = [
         name
         for name in digest.compared
         if family_of(name) is not family_of(model)
         and _worst_share(digest, name) < _worst_share(digest, model)
-        and digest.summary(name).seconds_per_step < mine
+        and digest.costs[name].frame < mine
     ]
     return _closest(digest, better) if better else None

@@ -94,21 +94,19 @@ def spread_of(values: Array, bars: Array) -> Spread | None:
 
 
 @dataclass(frozen=True)
-class ModelSummary:
-    """One model over all cases, at full load."""
+class Cost:
+    """What a model takes: medians over cases and steps [s], the most memory [B], what stands beside the times.
 
-    name: str
-    is_reference: bool
-    vector: Spread | None
-    deformation: Spread | None
-    drift: Spread | None
-    seconds_setup: float  # median over cases
-    seconds_per_step: float  # median of a frame of the contact, over meshes and rounds; without, over steps
-    seconds_everywhere: float  # the same of a frame with all nodes loaded; NaN where not measured
-    peak_bytes: float  # largest over cases
-    failed_cases: int  # cases with a step that failed
-    marks: tuple[str, ...]  # what stands beside its times: EARLIER, ELSEWHERE, ONCE
-    iterative: bool  # whether an iterative solver was chosen in any case
+    `frame` is of the contact, over meshes and rounds; without measured frames over steps. `marks` are EARLIER,
+    ELSEWHERE, ONCE; `iterative` tells whether an iterative solver was chosen in any case.
+    """
+
+    model: str
+    set_up: float
+    frame: float
+    memory: float
+    iterative: bool
+    marks: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -364,50 +362,43 @@ class Digest:
         return self.reference is not None and self.median(self.reference, "rigid_share") > math.sqrt(0.5)
 
     @cached_property
-    def unusual_levels(self) -> dict[str, int]:
-        """Behaviour of the reference's mesh levels -> cases, where it gives no order to extrapolate with."""
-        names, usual = self._behaviours, (uncertainty.CONVERGING, uncertainty.TWO_LEVELS)
-        return {name: names.count(name) for name in dict.fromkeys(names) if name not in usual}
-
-    @property
-    def order_is_assumed(self) -> bool:
-        """Whether all that is known of the reference's error is from two mesh levels, which show no order."""
-        return set(self._behaviours) == {uncertainty.TWO_LEVELS}
-
-    @cached_property
-    def _behaviours(self) -> list[str]:
+    def behaviours(self) -> list[str]:
         """What the reference's mesh levels do, of each case that has them."""
         estimates = [uncertainty.stored_estimate(case.reference_error) for case in self.cases]
         return [e.behaviour for e in estimates if e is not None]
 
     @cached_property
-    def summaries(self) -> tuple[ModelSummary, ...]:
-        """One per model, in the study's order."""
-        return tuple(self._summary(name) for name in self.models)
+    def costs(self) -> dict[str, Cost]:
+        """Of every model."""
+        return {name: self._cost(name) for name in self.models}
 
-    def _summary(self, name: str) -> ModelSummary:
+    def _cost(self, name: str) -> Cost:
         results = [case.models[name] for case in self.cases if name in case.models]
         frames = [result.frames for result in results if result.frames is not None]
         times = [one.contact for one in frames] or [result.seconds_per_step for result in results]
         setups = [one.setup for one in frames] or [np.array([result.seconds_setup]) for result in results]
-        return ModelSummary(
-            name=name,
-            is_reference=name == self.reference,
-            vector=self.spread(name, VECTOR),
-            deformation=self.spread(name, DEFORMATION),
-            drift=self.spread(name, DRIFT),
-            seconds_setup=_median_known(setups),
-            seconds_per_step=_median_known(times),
-            seconds_everywhere=_median_known([one.everywhere for one in frames]),
-            peak_bytes=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
-            failed_cases=sum(bool(failed_steps(result)) for result in results),
-            marks=tuple(self._marks(name)),
+        return Cost(
+            model=name,
+            set_up=_median_known(setups),
+            frame=_median_known(times),
+            memory=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
             iterative=not frames and any(r.parameters.get("solver") == "iterative" for r in results),
+            marks=tuple(self._marks(name)),
         )
 
-    def summary(self, name: str) -> ModelSummary:
-        """Of one model."""
-        return next(summary for summary in self.summaries if summary.name == name)
+    def frame_everywhere(self, name: str) -> float:
+        """Median time of a frame with all nodes loaded [s]; NaN where not measured."""
+        frames = [case.models[name].frames for case in self.cases if name in case.models]
+        return _median_known([one.everywhere for one in frames if one is not None])
+
+    @cached_property
+    def stopped(self) -> dict[str, int]:
+        """Model -> cases with a step that failed, of the models that have any."""
+        found = {
+            name: sum(bool(failed_steps(c.models[name])) for c in self.cases if name in c.models)
+            for name in self.models
+        }
+        return {name: count for name, count in found.items() if count}
 
     def _marks(self, name: str) -> Iterator[str]:
         """What is said of a model's times: nothing where all are of the run that did the others, here."""

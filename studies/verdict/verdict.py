@@ -17,6 +17,7 @@ import numpy as np
 
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
+from ..measures.uncertainty import CONVERGING, TWO_LEVELS
 from ..scene.warnings import scene_warnings
 from ..study.registry import FINITE_STRAIN, PARAMETERS, SURFACE, Family, family_of, split
 from .acceptance import (
@@ -36,10 +37,9 @@ from .digest import (
     DRIFT,
     HAUSDORFF,
     NORMAL,
+    Cost,
     Digest,
-    ModelSummary,
     Outside,
-    Spread,
     Unreached,
     failed_steps,
 )
@@ -112,33 +112,6 @@ class Lead:
     distance: float
     drift: float
     reference_drift: float
-
-
-@dataclass(frozen=True)
-class ModelErrors:
-    """How far a model is off at full load: median over the cases with an answer, its bar, and the worst case."""
-
-    model: str
-    displacement: float
-    displacement_bar: float
-    worst_displacement: float
-    deformation: float
-    deformation_bar: float
-    worst_deformation: float
-    cases: int
-    resolved: bool  # whether the reference's own error is small enough to call these figures by their size
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What a model takes: medians over cases and steps [s], the most memory [B], what stands beside the times."""
-
-    model: str
-    set_up: float
-    frame: float
-    memory: float
-    iterative: bool
-    marks: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -280,7 +253,7 @@ class Verdicts(Mapping[str, Verdict]):
     twins : model -> the one that it is in every case, under whose name alone it is told
     reservations, doubts : what models and reference say against the answers; what speaks against the scene
     small_strain : whether the reference is a linear one
-    errors, costs : of every model that is compared, and of every model
+    leads : of every model that is compared
     rigid : the rigid share of the reference's displacement where that is most of it, else NaN
     paper : where small strain ends, beside the paper's bound
     sure : how sure the figures are
@@ -302,8 +275,7 @@ class Verdicts(Mapping[str, Verdict]):
     reservations: tuple[Reservation, ...] = ()
     doubts: tuple[Doubt, ...] = ()
     small_strain: bool = False
-    errors: tuple[ModelErrors, ...] = ()
-    costs: tuple[Cost, ...] = ()
+    leads: dict[str, Lead] = field(default_factory=dict)
     rigid: float = math.nan
     paper: PaperBound | None = None
     sure: Sureness | None = None
@@ -378,12 +350,11 @@ def _verdicts(digest: Digest) -> Verdicts:
         reservations=tuple(_reservations(digest, chosen)),
         doubts=tuple(_doubts(digest)),
         small_strain=bool(reference) and split(reference)[0] not in FINITE_STRAIN,
-        errors=tuple(_errors(digest)),
-        costs=tuple(_cost(summary) for summary in digest.summaries),
+        leads={name: lead for name in digest.compared if (lead := _lead(digest, name)) is not None},
         rigid=digest.median(reference, "rigid_share") if digest.mostly_rigid else math.nan,
         paper=paper_bound(digest),
         sure=_sureness(digest, focus) if focus else None,
-        stopped={s.name: s.failed_cases for s in digest.summaries if s.failed_cases},
+        stopped=digest.stopped,
         failed=len(run.failed) - run.damaged,
         damaged=run.damaged,
         missing=len(run.missing),
@@ -439,7 +410,7 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
         same=digest.same_as_reference(model),
         why_not=why,
         advice=next_step(digest, model, word, why),
-        cost=_cost(digest.summary(model)),
+        cost=digest.costs[model],
         settings=tuple(_settings(digest, model)),
         up_to=up_to(
             digest.known_loads, [digest.limits.states(case, model, of_load=True) for case in digest.cases]
@@ -526,40 +497,6 @@ def _limit(digest: Digest, model: str, criterion: Criterion) -> Limit:
         undecided=states.count(OPEN),
         beyond=states.count(BEYOND),
         unanswered=states.count(LOST),
-    )
-
-
-def _errors(digest: Digest) -> list[ModelErrors]:
-    found = []
-    for summary in digest.summaries:
-        vector, deformation = summary.vector, summary.deformation
-        if summary.name not in digest.compared or vector is None:
-            continue
-        shape = deformation or Spread(math.nan, math.nan, math.nan, math.nan, math.nan, 0, 0, 0)
-        found.append(
-            ModelErrors(
-                model=summary.name,
-                displacement=vector.median,
-                displacement_bar=vector.median_bar,
-                worst_displacement=vector.worst,
-                deformation=shape.median,
-                deformation_bar=shape.median_bar,
-                worst_deformation=shape.worst,
-                cases=vector.cases,
-                resolved=not vector.measured or vector.resolved == vector.cases,
-            )
-        )
-    return found
-
-
-def _cost(summary: ModelSummary) -> Cost:
-    return Cost(
-        model=summary.name,
-        set_up=summary.seconds_setup,
-        frame=summary.seconds_per_step,
-        memory=summary.peak_bytes,
-        iterative=summary.iterative,
-        marks=summary.marks,
     )
 
 
@@ -660,8 +597,9 @@ def _sureness(digest: Digest, model: str) -> Sureness | None:
     if spread is None:
         return None
     bar = spread.median_bar if spread.measured else math.nan
-    unusual, assumed = digest.unusual_levels, digest.order_is_assumed
-    return Sureness(model, bar, spread.cases, spread.resolved, unusual, assumed)
+    names, usual = digest.behaviours, (CONVERGING, TWO_LEVELS)
+    unusual = {name: names.count(name) for name in dict.fromkeys(names) if name not in usual}
+    return Sureness(model, bar, spread.cases, spread.resolved, unusual, set(names) == {TWO_LEVELS})
 
 
 def _measured(digest: Digest, models: Sequence[str]) -> Iterator[Measured]:

@@ -56,7 +56,7 @@ def test_times_say_when_where_and_how(case: CaseResult, marks: list[str], of_ref
         for word, mark in (("earlier", EARLIER), ("another machine", ELSEWHERE)):
             assert (word in rows[name]) == (mark in expected)
         assert ("iterative" in rows[name]) == (iterative and name == "vdm-m")
-    told = " ".join(time_notes(Digest(shown).summaries))
+    told = " ".join(time_notes(Digest(shown).costs.values()))
     assert ("Measured earlier: vdm-m." in told) == (EARLIER in marks)
     assert ("Measured on another machine" in told) == (ELSEWHERE in [*marks, *of_reference])
     assert ("Solved iteratively" in told) == iterative
@@ -81,7 +81,7 @@ def test_a_case_that_was_done_before_the_others_is_of_an_earlier_run() -> None:
     cases = [dataclasses.replace(case, hash=2 * str(k)) for k, case in enumerate(cases)]
 
     def marks(*resumed: str) -> tuple[str, ...]:
-        return Digest(dataclasses.replace(make_run(cases), plan={"resumed": resumed})).summary("vdm-m").marks
+        return Digest(dataclasses.replace(make_run(cases), plan={"resumed": resumed})).costs["vdm-m"].marks
 
     assert marks("00") == marks("11") == (EARLIER,)
     assert marks() == ()
@@ -89,15 +89,16 @@ def test_a_case_that_was_done_before_the_others_is_of_an_earlier_run() -> None:
 
 def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
     case = measured_anew(_case("Abacus 3", measured_earlier="yes", solver="iterative"))
-    summary = Digest(make_run([case])).summary("vdm-m")
-    assert (summary.marks, summary.iterative) == ((), False)
-    assert (summary.seconds_per_step, summary.seconds_everywhere) == (4e-4, 8e-4)
+    digest = Digest(make_run([case]))
+    cost = digest.costs["vdm-m"]
+    assert (cost.marks, cost.iterative) == ((), False)
+    assert (cost.frame, digest.frame_everywhere("vdm-m")) == (4e-4, 8e-4)
     own = case.models["vdm-m"]
     assert own.frames is not None
 
     def marks(frames: FrameTimes | None) -> tuple[str, ...]:
         models = case.models | {"vdm-m": dataclasses.replace(own, frames=frames)}
-        return Digest(make_run([dataclasses.replace(case, models=models)])).summary("vdm-m").marks
+        return Digest(make_run([dataclasses.replace(case, models=models)])).costs["vdm-m"].marks
 
     assert marks(dataclasses.replace(own.frames, processor="Abacus 3")) == (ELSEWHERE,)
     assert marks(None) == (EARLIER, ELSEWHERE, ONCE)
@@ -116,4 +117,4 @@ def test_what_another_machine_has_measured_says_so_in_the_next_case(
     (case,) = run(plan_of(tmp_path, tmp_path / "cache", **changes | {"study": study}))
     found = {name: result.parameters.get("measured_on") for name, result in case.models.items()}
     assert found == {"vdm-vector": "Abacus 3", "vdm-paper": None, "fem-linear": "Abacus 3"}
-    assert Digest(make_run([case])).summary("vdm-vector").marks == (EARLIER, ELSEWHERE)
+    assert Digest(make_run([case])).costs["vdm-vector"].marks == (EARLIER, ELSEWHERE)

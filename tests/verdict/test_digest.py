@@ -83,8 +83,9 @@ def test_the_references_own_drift_has_a_bar_from_its_levels_and_nobody_elses_has
 
     def bars(levels: float) -> list[float]:
         case = dataclasses.replace(made, metrics=metrics, reference_error={"levels": levels})
-        summaries = {s.name: s.drift for s in Digest(make_run([case])).summaries}
-        return [spread.worst_bar for name in drifts if (spread := summaries[name]) is not None]
+        digest = Digest(make_run([case]))
+        found = (digest.spread(name, "volume_drift") for name in drifts)
+        return [spread.worst_bar for spread in found if spread is not None]
 
     # 1.25 times the estimated error: the difference on two levels, a third of it on three
     assert_allclose(bars(2.0), [np.nan, np.nan, 3.75e-4], rtol=1e-12, atol=0)
@@ -181,10 +182,10 @@ def test_a_failed_case_is_no_key_case() -> None:
         ("median", "0.2"),
         ("best", "0.1"),
     ]
-    summary = next(s for s in digest.summaries if s.name == "m")
-    assert summary.failed_cases == 1
-    assert summary.vector is not None
-    assert summary.vector.cases == 3
+    vector = digest.spread("m", VECTOR)
+    assert digest.stopped == {"m": 1}
+    assert vector is not None
+    assert vector.cases == 3
 
 
 def test_only_what_varies_counts_as_swept() -> None:
