@@ -27,6 +27,7 @@ from fem_reference.linear import Fields
 from fem_reference.load_path import LoadPath
 from fem_reference.loads import (
     Load,
+    check_cavities,
     check_loads,
     check_nodal,
     held_nodes,
@@ -67,6 +68,7 @@ class FiniteStrainProblem:
     poisson_ratio : of the isotropic part, in (-1, 0.5], or one per tetrahedron in (0, 0.5]
     parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
     elastic_supports : springs under parts of the surface
+    cavities : (F, k) facets of the walls of cavities that an incompressible fluid fills: each keeps its volume
     density : of the undeformed body [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     material : one of `fem_reference.materials.MATERIALS`
@@ -99,6 +101,7 @@ class FiniteStrainProblem:
         held: ArrayLike,
         parts: ArrayLike | None = None,
         elastic_supports: Sequence[ElasticSupport] = (),
+        cavities: ArrayLike | None = None,
         material: str = "neo-hookean",
         fibre_direction: ArrayLike | None = None,
         contrast: float = 1.0,
@@ -158,6 +161,7 @@ class FiniteStrainProblem:
             self.solver,
             max_newton,
             float(tolerance),
+            check_cavities(self.mesh, cavities),
         )
         self.seconds_setup = time.perf_counter() - start
 
@@ -232,7 +236,9 @@ class FiniteStrainProblem:
         rest, found = self._newton.rest, None
         if near is not None:
             found = self._newton.solve(
-                State(near.displacement[0] / length, near.pressure[0] / stress_unit), load, 1.0
+                State(near.displacement[0] / length, near.pressure[0] / stress_unit, rest.state.fluid),
+                load,
+                1.0,
             )
         if found is None or not found.converged:
             record = Record(self._newton, self.shear_modulus, 1, frozenset())

@@ -22,6 +22,8 @@ from fem_reference.condition import condition_estimate
 from fem_reference.linear_algebra import BATCH, Solver, choose_solver
 from fem_reference.loads import (
     Load,
+    cavity_forces,
+    check_cavities,
     check_loads,
     check_nodal,
     gather_to_vertices,
@@ -94,6 +96,7 @@ class LinearProblem:
     poisson_ratio : of the isotropic part, in (-1, 0.5], below 0.5 for "P2" and "P1"; or (m,) in (0, 0.5]
     parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
     elastic_supports : springs under parts of the surface
+    cavities : (F, k) facets of the walls of cavities that an incompressible fluid fills: each keeps its volume
     onto : moves (k, 3) points near the surface onto it, for curved elements, see `fem_reference.curved`; without
         parts, springs, fibres, and outputs of the strain
     density : [kg/m^3]
@@ -124,6 +127,7 @@ class LinearProblem:
         held: ArrayLike,
         parts: ArrayLike | None = None,
         elastic_supports: Sequence[ElasticSupport] = (),
+        cavities: ArrayLike | None = None,
         onto: Callable[[Array], Array] | None = None,
         solver: str = "auto",
         expected_loads: int = 1,
@@ -169,6 +173,7 @@ class LinearProblem:
             springs=springs,
         )
         self.solver: Solver = choose_solver(self.system, solver, expected_loads, memory_limit)
+        self._cavities = check_cavities(self.mesh, cavities)
         self.seconds_setup = time.perf_counter() - start
 
     def with_youngs_modulus(self, youngs_modulus: float) -> LinearProblem:
@@ -305,6 +310,11 @@ class LinearProblem:
         unit = np.where(largest > 0.0, largest, 1.0)
         solved = self.solver.solve(rhs / unit)
         u, p = self.system.expand(solved.x * unit, scaled_given)
+        if self._cavities.size:
+            pushes, moved, pressed, schur = self._fluid
+            push = -np.einsum("knc,snc->sk", pushes, u) @ np.linalg.pinv(schur, 1e-10, hermitian=True)
+            u, p = u + np.tensordot(push, moved, 1), p + push @ pressed
+            scaled_forces = scaled_forces + np.tensordot(push, pushes, 1)
         reaction = self.system.reactions(u, p, scaled_forces)
         return Fields(
             displacement=u * length,
@@ -313,6 +323,18 @@ class LinearProblem:
             residual=solved.residual,
             iterations=solved.iterations,
         )
+
+    @cached_property
+    def _fluid(self) -> tuple[Array, Array, Array, Array]:
+        """Of a unit pressure in each filled cavity, scaled: forces, displacement, pressure, work (k, k).
+
+        The forces are the gradient of the cavity's volume too.
+        """
+        nothing = np.zeros((len(self._cavities.T), self.mesh.n_nodes, 3))
+        pushes = cavity_forces(self.mesh, self._cavities) / self.mesh.mean_edge**2
+        solved = self.solver.solve(self.system.right_hand_side(pushes, nothing))
+        moved, pressed = self.system.expand(solved.x, nothing)
+        return pushes, moved, pressed, np.einsum("knc,lnc->kl", pushes, moved)
 
     def _status(self, residual: float) -> Status:
         if residual <= self.solver.tolerance:

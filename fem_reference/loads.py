@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.assembly import gravity_weights
 from fem_reference.follower import curved_area_vectors
@@ -118,6 +118,33 @@ def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
         if load.forces is not None:
             force += load.forces
     return forces
+
+
+def check_cavities(mesh: TetMesh, cavities: ArrayLike | None) -> Mask:
+    """(F, k) facets of the walls of k cavities, none where None is given.
+
+    Raises
+    ------
+    SolverError
+        another array than a mask of the facets, a wall that is not closed.
+    """
+    count = len(mesh.triangles)
+    walls = np.zeros((count, 0), dtype=bool) if cavities is None else np.asarray(cavities)
+    if walls.dtype != bool or walls.ndim != 2 or len(walls) != count:
+        raise _bad_load(
+            f"cavities is an array of {walls.dtype} of shape {walls.shape}", f"give a mask ({count}, k)"
+        )
+    left = np.linalg.norm(walls.T @ mesh.area_vectors, axis=1)
+    if (left > 1e-9 * (walls.T @ np.linalg.norm(mesh.area_vectors, axis=1))).any():
+        raise _bad_load("the wall of a cavity is not closed", "give all of its facets")
+    return walls
+
+
+def cavity_forces(mesh: TetMesh, cavities: Mask) -> Array:
+    """(k, n_nodes, 3) forces of a unit pressure on each wall (F, k): the gradient of the cavity's volume [m^2]."""
+    nothing, weights = np.zeros((len(mesh.surface_nodes), 3)), facet_quadrature()[1]
+    loads = [Load(np.outer(wall, np.ones_like(weights)), nothing, np.zeros(3)) for wall in cavities.T]
+    return nodal_forces(mesh, loads, 0.0)
 
 
 def held_nodes(mesh: TetMesh, held: Mask, springs: Springs | None = None) -> Mask:

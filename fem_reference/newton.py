@@ -22,7 +22,7 @@ from fem_reference.progress import Progress, tell
 from fem_reference.surface_stretch import BIOT, most_compressed
 from fem_reference.system import LinearSystem, hold_components
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Mask
 from solver_common.quadrature import facet_quadrature
 
 _LEAST_STEP = 2.0**-8  # of a load step
@@ -82,10 +82,12 @@ class State:
     ----------
     displacement : (n_nodes, 3)
     pressure : (n,) q = p / a
+    fluid : (k,) pressures in the cavities that a fluid fills
     """
 
     displacement: Array
     pressure: Array
+    fluid: Array
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,8 @@ class _Residual:
     reaction: Array
     external: Array
     least_determinant: float
+    fluid_gap: Array  # (k,) change of the cavities' volumes
+    fluid_push: Array  # (k, n_nodes, 3) forces of unit pressures in them, the gradients of their volumes
 
 
 @dataclass(eq=False)
@@ -141,6 +145,7 @@ class Newton:
     solver : of the linear systems
     max_newton : iterations after which a substep has failed
     tolerance : of the residual, relative to the internal forces
+    cavities : (F, k) facets of the walls of cavities that a fluid fills
     contact : of an indenter, while there is one
     place : load step under way and their number, which are told with the progress
     """
@@ -153,6 +158,7 @@ class Newton:
     solver: TangentSolver
     max_newton: int
     tolerance: float
+    cavities: Mask
     contact: RigidContact | None = None
     place: tuple[int, int] = (0, 1)
 
@@ -161,6 +167,7 @@ class Newton:
         self._points = mesh.node_points / mesh.mean_edge
         self._inner = self.pattern.numbered[kept][:, kept]
         self._inner_divergence = self.coupling.numbered[:, kept]
+        self._fluid_volumes = self._fluid(np.zeros_like(self._points))[0]
 
     @property
     def rest(self) -> Substep:
@@ -168,7 +175,7 @@ class Newton:
         mesh = self.system.mesh
         nothing = np.zeros((mesh.n_nodes, 3))
         unloaded = ScaledLoad(np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))), nothing, nothing)
-        state = State(nothing, np.zeros(mesh.n_pressures))
+        state = State(nothing, np.zeros(mesh.n_pressures), np.zeros(len(self.cavities.T)))
         return Substep(0.0, unloaded, state, nothing, nothing, (0.0,), "converged")
 
     def follow(self, state: State, start: ScaledLoad, end: ScaledLoad) -> Iterator[Substep]:
@@ -200,8 +207,8 @@ class Newton:
 
     def solve(self, state: State, load: ScaledLoad, load_factor: float, reached: float = 0.0) -> Substep:
         """Newton iterations from a state, at load factor `reached`, to equilibrium under a load."""
-        u, q = state.displacement, state.pressure
-        found = self._residual(u, q, load)
+        u, q, c = state.displacement, state.pressure, state.fluid
+        found = self._residual(u, q, c, load)
         passed = Substep(
             load_factor, load, state, found.reaction, found.external, (found.relative,), "passed"
         )
@@ -223,23 +230,25 @@ class Newton:
                 lost = float(np.abs(found.vector).max()) > _LEFT * max(found.scale, largest)
                 if lost and found.external.any():
                     return outcome(state, "too-small")
-                return passed if self._passes(u, load) else outcome(State(u, q), "converged")
+                return passed if self._passes(u, load) else outcome(State(u, q, c), "converged")
             rises = sum(b > a for a, b in itertools.pairwise(residuals[1:]))
             if len(residuals) > self.max_newton or rises > _MOST_RISES or not np.isfinite(found.relative):
                 return outcome(state, "not-converged")
             if tangent is None or not self._good_enough(residuals):
-                tangent = self.tangent(State(u, q), load)
+                tangent = self.tangent(State(u, q, c), load)
             update = self._update(tangent, step, found)
             if update is None:
                 return outcome(state, "linear-solver")
             damping = 1.0
-            trial = self._residual(u + update[0], q + update[1], load)
-            while not trial.least_determinant > 0.0:
+            while True:
+                at = [old + damping * change for old, change in zip((u, q, c), update, strict=True)]
+                trial = self._residual(at[0], at[1], at[2], load)
+                if trial.least_determinant > 0.0:
+                    break
                 damping *= 0.5
                 if damping < _LEAST_DAMPING:
                     return outcome(state, "inverted")
-                trial = self._residual(u + damping * update[0], q + damping * update[1], load)
-            u, q, found = u + damping * update[0], q + damping * update[1], trial
+            (u, q, c), found = at, trial
             residuals.append(found.relative)
 
     def _passes(self, u: Array, load: ScaledLoad) -> bool:
@@ -250,26 +259,49 @@ class Newton:
         """Whether the last tangent will do once more: it gains at least what the last step did."""
         return len(residuals) > 2 and residuals[-1] ** 2 <= 0.1 * self.tolerance * residuals[-2]
 
-    def _update(self, tangent: TangentSystem, step: Array, found: _Residual) -> tuple[Array, Array] | None:
+    def _update(
+        self, tangent: TangentSystem, step: Array, found: _Residual
+    ) -> tuple[Array, Array, Array] | None:
         """The Newton update that also moves held components by `step`; None if it cannot be computed."""
         forcing = _MOST_FORCING
         if not step.any():
             wanted = max(0.1 * found.relative, 0.1 * self.tolerance / found.relative)
             forcing = float(np.clip(wanted, _LEAST_FORCING, _MOST_FORCING))
-        rhs = -found.vector - tangent.action(step)
-        x, solved = self.solver.solve(tangent, rhs, forcing)
+        x, solved = self.solver.solve(tangent, -found.vector - tangent.action(step), forcing)
+        n, kept = self.system.n_displacements, self.system.kept
+        fluid = np.zeros(len(found.fluid_gap))
+        if len(fluid) and solved:  # bordered by the pressures in cavities, each of which keeps a volume
+            rows = [self._vector(push, np.zeros(len(x) - n)) for push in found.fluid_push]
+            answers = [self.solver.solve(tangent, row, forcing) for row in rows]
+            solved = all(done for _, done in answers)
+            given = np.einsum("knc,nc->k", found.fluid_push, step)
+            moved = np.array([[row @ answer for answer, _ in answers] for row in rows])
+            fluid = -np.linalg.solve(moved, found.fluid_gap + given + np.array([row @ x for row in rows]))
+            x = x + fluid @ np.array([answer for answer, _ in answers])
         if not solved:
             return None
-        n = self.system.n_displacements
         du = step.copy()
         # An iterative solver leaves rounding at held components, which must arrive exactly.
-        kept = self.system.kept
         du[kept] += np.where(self.system.held[kept], 0.0, x[:n].reshape(-1, 3))
-        return du, x[n:]
+        return du, x[n:], fluid
 
-    def _residual(self, u: Array, q: Array, load: ScaledLoad) -> _Residual:
+    def _fluid(self, u: Array) -> tuple[Array, Array]:
+        """Volumes (k,) of the cavities that a fluid fills, and their gradients (k, n_nodes, 3)."""
+        x, weights = self._points + u, facet_quadrature()[1]
+        pushes = [self.follower.forces(x, np.outer(wall, np.ones_like(weights))) for wall in self.cavities.T]
+        gradients = np.array(pushes).reshape(-1, *x.shape)
+        return np.einsum("knc,nc->k", gradients, x) / 3.0, gradients
+
+    def _filled(self, load: ScaledLoad, fluid: Array) -> ScaledLoad:
+        """A load with the pressures of the fluid in cavities on their walls."""
+        return (
+            replace(load, pressure=load.pressure + (self.cavities @ fluid)[:, None]) if len(fluid) else load
+        )
+
+    def _residual(self, u: Array, q: Array, c: Array, load: ScaledLoad) -> _Residual:
         system = self.system
         internal = self.assembly.forces(u, system.pressure_scale * q)
+        load = self._filled(load, c)
         external = load.forces + self.follower.forces(self._points + u, load.pressure)
         if self.contact is not None:
             external = external + self.contact.forces(self._points + u, load.depth)
@@ -282,13 +314,18 @@ class Newton:
         # Forces below the rounding of the displacement gradient are none.
         noise = _ROUNDING * np.sqrt(u.size) * (1.0 + float(np.abs(u).max()))
         scale = max(float(np.linalg.norm(a)) for a in (internal.nodal, external))
+        volumes, gradients = self._fluid(u)
+        gap = volumes - self._fluid_volumes
+        lacking = float(np.linalg.norm(vector)) / max(scale, noise / self.tolerance)
         return _Residual(
             vector,
-            float(np.linalg.norm(vector)) / max(scale, noise / self.tolerance),
+            max(lacking, float(np.abs(gap / self._fluid_volumes).max(initial=0.0))),
             scale,
             np.where(system.held, unbalanced, 0.0) + pulled,
             external,
             internal.least_determinant,
+            gap,
+            gradients,
         )
 
     def _vector(self, nodal: Array, volume: Array) -> Array:
@@ -300,7 +337,7 @@ class Newton:
     def tangent(self, state: State, load: ScaledLoad) -> TangentSystem:
         """The tangent in a state."""
         system, pattern, coupling = self.system, self.pattern, self.coupling
-        u, q = state.displacement, state.pressure
+        u, q, load = state.displacement, state.pressure, self._filled(load, state.fluid)
         blocks, volumes = self.assembly.tangent(u, system.pressure_scale * q)
         divergence = self._divergence(volumes)
         if system.springs is not None:

@@ -35,6 +35,8 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
     modulus = form.parameters.tissue_modulus
     if modulus is None or form.parameters.ground is not None or form.parameters.lumps is not None:
         return np.nan  # the known bendings are those of one tissue that is held or free
+    if form.parameters.fluid_in_cavities:
+        return np.nan
     exact, forces = bendings(form.resolved, form.parameters.poisson_ratio)
     error = size = 0.0
     areas = surface.nodal_areas[:, None]

@@ -120,6 +120,8 @@ class Parameters:
     parts : how many the nonlinear solver cuts the body into; None: as many as its rotations need (boundary, sparse)
     poisson_ratio : of what is inside, above -1 and at most 1/2: the fluid that keeps the volume (boundary, sparse)
     lumps : regions inside of a material of their own (boundary, linear solvers)
+    fluid_in_cavities : whether cavities hold an incompressible fluid without weight, which keeps the volume of
+        each; else they are empty (boundary)
     rotation : which rotation is free of tension: none, or one for the body (vector)
     ground : (3N, 3N) force of springs between the surface and a rigid ground over the displacement of the nodes
         [N/m], sparse and symmetric (vector, boundary, mass-spring)
@@ -139,6 +141,7 @@ class Parameters:
     parts: int | None = None
     poisson_ratio: float = 0.5
     lumps: Lumps | None = None
+    fluid_in_cavities: bool = False
     rotation: Rotation = "global"
     ground: sparse.csr_array | None = None
     tension_stiffening: float = 0.0

@@ -143,6 +143,8 @@ class Model:
             )
         if parameters.lumps is not None and (formulation != "bem" or at_large):
             raise ParameterError("lumps inside need the bem formulation and a linear solver")
+        if self.surface.shells.any() and formulation != "bem":
+            raise ParameterError(f"the {formulation} formulation knows no cavities; take bem")
         if parameters.tension_stiffening and (formulation, solver) != ("paper", "nonlinear"):
             raise ParameterError("tension_stiffening needs the paper formulation and the nonlinear solver")
         n_nodes = self.surface.n_nodes

@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from solver_common.arrays import Array, Index, Mask
+from solver_common.solid_angles import solid_angles
 
 # A facet whose height is below this share of its longest edge has no usable normal in double precision.
 FLAT_FACET = 1e-12
@@ -23,12 +24,12 @@ class SurfaceError(ValueError):
 
 
 class SurfaceMesh:
-    """N nodes and F triangles that bound one connected volume.
+    """N nodes and F triangles that bound one connected volume, which may have cavities.
 
     Parameters
     ----------
     points : (N, 3) coordinates [m]
-    triangles : (F, 3) indices into `points`, counter-clockwise seen from outside; or flat as in
+    triangles : (F, 3) indices into `points`, counter-clockwise seen from where there is no body; or flat as in
         `pyvista.PolyData.faces`, where a 3 stands before each
     merge : whether points at the very same place become one, in the order in which they first come; readers of STL
         may give each facet corners of its own
@@ -66,6 +67,8 @@ class SurfaceMesh:
             raise SurfaceError(
                 f"the surface is inverted (volume {self.volume:.3g} m^3); reverse each triangle"
             )
+        # (F,) the closed piece of each facet: 0 the outer one, 1 to k the walls of cavities
+        self.shells: Index = _shells(self.points, self.triangles, centred, vectors)
         self.area = float(self.facet_areas.sum())
         # (N, 3) g_i = (1/3) sum of A_f n_f [m^2], the exact gradient of the polyhedron's volume
         self.area_vectors: Array = np.stack([self._to_nodes(part) for part in vectors.T], axis=1) / 3.0
@@ -107,6 +110,16 @@ class SurfaceMesh:
             )
         normals: Array = self.area_vectors / length[:, None]
         return normals
+
+    @cached_property
+    def cavity_vectors(self) -> Array:
+        """(N, 3, k) gradient of the volume of each of k cavities, minus the area vectors of its wall [m^2]."""
+        found = np.zeros((self.n_nodes, 3, int(self.shells.max())))
+        vectors = self.facet_vectors
+        for k in range(found.shape[2]):
+            wall = np.where(self.shells == k + 1, vectors.T, 0.0)
+            found[:, :, k] = np.stack([self._to_nodes(part) for part in wall], axis=1) / -3.0
+        return found
 
     @cached_property
     def vector_areas(self) -> Array:
@@ -278,11 +291,6 @@ def _edges(triangles: Index, n_nodes: int) -> tuple[NDArray[np.int32], NDArray[n
         and np.array_equal(up.indices, down.indices)
     ):
         _refuse_edges(start, end, n_nodes)
-    pieces = int(connected_components(up, directed=False)[0])
-    if pieces != 1:
-        raise SurfaceError(
-            f"the surface has {pieces} components; keep one closed body (cavities are not supported)"
-        )
     opposite = np.empty_like(start)
     opposite[up.data], opposite[down.data] = down.data, up.data
     _check_fans(triangles, opposite, n_nodes)
@@ -291,6 +299,34 @@ def _edges(triangles: Index, n_nodes: int) -> tuple[NDArray[np.int32], NDArray[n
     facet_edges[up.data], facet_edges[down.data] = numbers, numbers
     nodes = np.arange(n_nodes, dtype=np.int32)
     return np.stack([np.repeat(nodes, np.diff(up.indptr)), up.indices], axis=1), facet_edges.reshape(-1, 3)
+
+
+def _shells(points: Array, triangles: Index, corners: Array, vectors: Array) -> Index:
+    """(F,) the closed piece of each facet: 0 the outer one, the others walls of cavities within it.
+
+    `corners` and `vectors` (F, 3): each facet's first corner, and its normal times its area.
+
+    Raises
+    ------
+    SurfaceError
+        a piece that is not within the outer one alone, or not turned to the inside of its cavity.
+    """
+    ends = triangles[:, :2].ravel(), triangles[:, 1:].ravel()
+    links = sparse.coo_array((np.ones(len(ends[0])), ends), shape=(len(points), len(points)))
+    count, of_node = connected_components(links, directed=False)
+    piece = np.asarray(of_node[triangles[:, 0]], np.int64)
+    if count == 1:
+        return piece
+    volumes = np.bincount(piece, np.einsum("fi,fi->f", corners, vectors), count)
+    outer = int(np.argmax(volumes))
+    for k in np.flatnonzero(np.arange(count) != outer):
+        place = points[[int(np.argmax(of_node == k))]]
+        if volumes[k] > 0.0 or np.round(solid_angles(place, points, triangles[piece != k]))[0] != 1.0:
+            raise SurfaceError(
+                f"the surface has {count} components that do not bound one body; keep one, or turn the facets of "
+                "cavities towards their inside"
+            )
+    return np.asarray(np.where(piece == outer, 0, piece + (piece < outer)))
 
 
 def _refuse_edges(start: NDArray[np.int32], end: NDArray[np.int32], n_nodes: int) -> NoReturn:

@@ -25,7 +25,7 @@ from ..study.shapes import (
 )
 from .imported import centred, imported_surface, imported_tetrahedra, named, placed
 from .mesh import Mesh
-from .surface_measures import enclosed_volume
+from .surface_measures import enclosed_volume, shells
 from .topology import mesh_from_tetrahedra, mesh_from_triangles, surface_only
 
 _TRIANGLE, _TETRAHEDRON = 2, 4  # gmsh's element types
@@ -115,7 +115,14 @@ def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool
     from .intersections import without_intersections
     from .remesh import surface_distance, uniform_surface
 
-    nodes, facets = uniform_surface(points, triangles, mesh_size)
+    shell = shells(points, triangles)
+    made, count = [], 0
+    for k in range(int(shell.max()) + 1):
+        used, local = np.unique(triangles[shell == k], return_inverse=True)
+        nodes, facets = uniform_surface(points[used], local.reshape(-1, 3), mesh_size)
+        made.append((nodes, (facets[:, ::-1] if k else facets) + count))  # of a cavity they come outward
+        count += len(nodes)
+    nodes, facets = (np.concatenate(parts) for parts in zip(*made, strict=True))
     nodes, fixed = without_intersections(nodes, facets)
     mean_distance, moved = surface_distance(points, triangles, nodes, facets)
     quality = {
@@ -193,8 +200,12 @@ def _add_solid(geometry: Geometry, unit: float) -> None:
 
 def _add_surface(points: Array, triangles: Index) -> None:
     """Add the inside of a closed triangle surface, which stays as it is."""
-    surface = gmsh.model.addDiscreteEntity(2)
-    gmsh.model.mesh.addNodes(2, surface, np.arange(1, len(points) + 1), points.ravel())
-    gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (triangles + 1).ravel())
-    gmsh.model.geo.addVolume([gmsh.model.geo.addSurfaceLoop([surface])])
+    shell, loops = shells(points, triangles), []
+    for k in range(int(shell.max()) + 1):
+        surface = gmsh.model.addDiscreteEntity(2)
+        nodes = np.unique(triangles[shell == k])
+        gmsh.model.mesh.addNodes(2, surface, nodes + 1, points[nodes].ravel())
+        gmsh.model.mesh.addElementsByType(surface, _TRIANGLE, [], (triangles[shell == k] + 1).ravel())
+        loops.append(gmsh.model.geo.addSurfaceLoop([surface]))
+    gmsh.model.geo.addVolume(loops)
     gmsh.model.geo.synchronize()

@@ -26,8 +26,8 @@ from .mesh import Mesh
 from .mesh_file import check_readable
 from .read_apart import clean_of
 from .repair import CleanSurface, CleanTetrahedra
-from .surface_measures import enclosed_volume, facet_areas
-from .topology import mesh_from_tetrahedra
+from .surface_measures import enclosed_volume, facet_areas, shells
+from .topology import mesh_from_tetrahedra, separate_pieces
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ def imported_surface(geometry: Geometry, *, volume: bool) -> ImportedSurface:
     inside = enclosed_volume(points, clean.triangles)
     remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
     check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, remedy)
+    _check_cavities(geometry, points, clean.triangles)
     repairs = {
         "scale": scale,
         "imported_points": float(len(clean.points)),
@@ -88,9 +89,19 @@ def imported_tetrahedra(geometry: Geometry) -> Mesh:
         "points_dropped": float(clean.points_dropped),
         "tetrahedra_turned": float(clean.tetrahedra_turned),
     }
-    return placed(
-        mesh_from_tetrahedra(points, clean.tetrahedra, groups=clean.groups, quality=repairs), centre
-    )
+    mesh = mesh_from_tetrahedra(points, clean.tetrahedra, groups=clean.groups, quality=repairs)
+    _check_cavities(geometry, mesh.surface_points, mesh.triangles)
+    return placed(mesh, centre)
+
+
+def _check_cavities(geometry: Geometry, points: Array, triangles: Index) -> None:
+    """Refuses cavities that the geometry does not tell, and told ones that are not there."""
+    shell = shells(points, triangles)
+    if shell.any() and "cavities" not in geometry.parameters:
+        remedy = ', or say what fills those inside: cavities = "empty" or "fluid"'
+        raise separate_pieces(points, triangles, shell, remedy)
+    if not shell.any() and "cavities" in geometry.parameters:
+        raise MeshError("has no cavity, its surface is one closed piece; leave cavities out", "cavities")
 
 
 def placed(mesh: Mesh, centre: Array) -> Mesh:

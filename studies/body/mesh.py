@@ -12,6 +12,8 @@ import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
 
+from .surface_measures import shells
+
 T = TypeVar("T")
 _MOST_KNOWN = 64  # things remembered on a mesh: contacts of a sweep, of some 100 kB each
 
@@ -65,6 +67,18 @@ class Mesh:
     def surface_points(self) -> Array:
         """(N, 3) coordinates of the surface nodes [m]."""
         return read_only(self.points[self.surface_nodes])
+
+    @cached_property
+    def shells(self) -> Index:
+        """(F,) the closed piece of each facet: 0 the outer one, then the walls of cavities."""
+        return read_only(shells(self.surface_points, self.triangles))
+
+    @cached_property
+    def in_cavity(self) -> Mask:
+        """(N,) surface nodes on the walls of cavities."""
+        found = np.zeros(len(self.surface_nodes), dtype=bool)
+        found[self.triangles[self.shells > 0]] = True
+        return read_only(found)
 
     @cached_property
     def known(self) -> dict[Hashable, Any]:

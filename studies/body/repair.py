@@ -10,13 +10,12 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from ..study.errors import MeshError
-from .surface_measures import facet_areas
+from .surface_measures import facet_areas, pieces
 from .topology import (
     check_finite,
     check_vertex_fans,
     consistent_orientation,
     half_edges,
-    pieces,
     tetrahedron_volumes,
 )
 
@@ -36,7 +35,7 @@ class CleanTetrahedra:
 
 @dataclass(frozen=True)
 class CleanSurface:
-    """A closed, manifold, outward surface in one piece, and what was done to get it."""
+    """A closed, manifold surface that points away from its body, and what was done to get it."""
 
     points: Array
     triangles: Index
@@ -57,7 +56,7 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> CleanSur
         by facets between the nodes of their rims, "both" does one after the other
 
     Raises MeshError for coordinates that are not finite, no facets, facets that name points that do not
-    exist, and what remains open, not manifold, one-sided, in several pieces, or without an inside.
+    exist, and what remains open, not manifold, one-sided, in pieces beside each other, or without an inside.
     """
     check_finite(points)
     if len(triangles) == 0:

@@ -51,6 +51,34 @@ def enclosed_volumes(points: Array, triangles: Index) -> Array:
     return np.asarray(parts.sum(axis=1) / 6.0)
 
 
+def pieces(count: int, first: Index, second: Index) -> Index:
+    """(count,) the lowest number that each of `count` things is joined with, by pairs `first` and `second`."""
+    lowest = np.arange(count)
+    while True:
+        ends = lowest[first], lowest[second]
+        if np.array_equal(*ends):
+            return lowest
+        np.minimum.at(lowest, np.maximum(*ends), np.minimum(*ends))
+        while not np.array_equal(lowest, further := lowest[lowest]):
+            lowest = further
+
+
+def shells(points: Array, triangles: Index) -> Index:
+    """(F,) the closed piece of each facet of an oriented surface: 0 the outer one, then the walls of cavities."""
+    joined = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+    _, piece = np.unique(pieces(len(points), *joined.T)[triangles[:, 0]], return_inverse=True)
+    volumes = piece_volumes(points, triangles, piece.ravel(), int(piece.max()) + 1)
+    place = np.empty(len(volumes), dtype=np.int64)
+    place[np.argsort(-np.sign(volumes), kind="stable")] = np.arange(len(volumes))
+    return np.asarray(place[piece.ravel()])
+
+
+def piece_volumes(points: Array, triangles: Index, piece: Index, count: int) -> Array:
+    """(count,) signed volumes of closed pieces, by the piece of each facet."""
+    a, b, c = (points[corner] - points[0] for corner in triangles.T)
+    return np.bincount(piece, np.einsum("fi,fi->f", a, np.cross(b, c)), count) / 6.0
+
+
 def rigid_motions(points: Array, weights: Array) -> Array:
     """(6, N, 3) rigid motions, infinitesimal and orthonormal by area; zero where one is another's multiple."""
     x = points - np.average(points, axis=0, weights=weights)

@@ -11,13 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
+from solver_common.solid_angles import solid_angles
 
 from ..study.errors import MeshError
 from .mesh import Mesh
-from .surface_measures import enclosed_volume, facet_areas
+from .surface_measures import enclosed_volume, facet_areas, piece_volumes, pieces
 
 _MOST_TOLD = 3  # holes, or pieces
 _LARGEST = 1e100  # coordinate
+_MOST_PLACES = 50  # of a wall, that are looked for inside the body
 # Faces of a positive tetrahedron, turned so that their normals point out of it.
 OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
@@ -120,22 +122,12 @@ def _told_places(points: Array, parts: Index, label: Index, kind: str) -> str:
     return f"{len(names)} place{'s' * (len(names) > 1)} ({'; '.join(told)}{more})"
 
 
-def pieces(count: int, first: Index, second: Index) -> Index:
-    """(count,) the lowest number that each of `count` things is joined with, by pairs `first` and `second`."""
-    lowest = np.arange(count)
-    while True:
-        ends = lowest[first], lowest[second]
-        if np.array_equal(*ends):
-            return lowest
-        np.minimum.at(lowest, np.maximum(*ends), np.minimum(*ends))
-        while not np.array_equal(lowest, further := lowest[lowest]):
-            lowest = further
-
-
 def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]:
-    """Facets turned so that all point outward, and how many were turned.
+    """Facets turned so that all point away from the body, and how many were turned.
 
-    Raises MeshError for an open, non-manifold or one-sided surface, several pieces, or no volume inside.
+    Closed pieces within the outer one, and not within each other, are the walls of cavities, and point into these.
+
+    Raises MeshError for an open, non-manifold or one-sided surface, pieces beside each other, or no volume inside.
     """
     first, second, same_way = facet_pairs(points, triangles)
     n_facets = len(triangles)
@@ -143,23 +135,34 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
     joined = np.concatenate([first, first + n_facets])
     agreeing = np.concatenate([second + n_facets * same_way, second + n_facets * ~same_way])
     labels = pieces(2 * n_facets, joined, agreeing).reshape(2, n_facets)
-    _, sizes = np.unique(labels.min(axis=0), return_counts=True)
-    if len(sizes) > 1:
-        told = _told_places(points, triangles, labels.min(axis=0), "facets")
-        raise MeshError(
-            f'the surface has separate pieces, in {told}; keep one closed piece, or give repair = "largest-piece"'
-        )
     if (labels[0] == labels[1]).any():
         raise MeshError("the surface is one-sided (it cannot be oriented); it bounds no solid")
-    side = labels[0] != labels[0, 0]
+    lowest = labels.min(axis=0)
+    names, piece = np.unique(lowest, return_inverse=True)
+    side = labels[0] != lowest
     turned = np.where(side[:, None], triangles[:, ::-1], triangles)
     scale = float(facet_areas(points, turned).sum()) ** 1.5
-    volume = enclosed_volume(points, turned)
-    if abs(volume) <= 1e-9 * scale:
+    volumes = piece_volumes(points, turned, piece.ravel(), len(names))
+    outer = int(np.argmax(np.abs(volumes)))
+    if (np.abs(volumes) <= 1e-9 * scale).any():
         raise MeshError("the surface encloses no volume; give the boundary of a solid")
-    if volume < 0:
-        turned, side = turned[:, ::-1], ~side
+    over = (volumes < 0) == (np.arange(len(names)) == outer)
+    side ^= over[piece.ravel()]
+    turned = np.where(side[:, None], triangles[:, ::-1], triangles)
+    for k in np.flatnonzero(np.arange(len(names)) != outer):
+        wall = np.unique(turned[piece.ravel() == k])
+        places = points[wall[:: len(wall) // _MOST_PLACES + 1]]
+        if not (np.round(solid_angles(places, points, turned[piece.ravel() != k])) == 1).all():
+            raise separate_pieces(points, triangles, lowest)
     return np.ascontiguousarray(turned), int(np.count_nonzero(side))
+
+
+def separate_pieces(points: Array, triangles: Index, label: Index, remedy: str = "") -> MeshError:
+    """What is said of a surface in pieces, by a number (F,) of each facet's."""
+    return MeshError(
+        f"the surface has separate pieces, in {_told_places(points, triangles, label, 'facets')}; keep one closed "
+        f'piece, or give repair = "largest-piece"{remedy}'
+    )
 
 
 def check_vertex_fans(triangles: Index) -> None:
@@ -203,7 +206,7 @@ def mesh_from_tetrahedra(
     `groups` are masks over `points`: named sets of the surface nodes in them, and of the tetrahedra that have all
     their nodes in them. Raises MeshError for
     coordinates that are not finite, inverted or flat tetrahedra, points that no tetrahedron uses, and a
-    boundary that is not one closed manifold surface.
+    boundary that is no closed manifold surface.
     """
     check_finite(points)
     check_tetrahedra(points, tetrahedra)

@@ -206,6 +206,7 @@ def _body(scene: Scene) -> dict[str, Any]:
         "held": scene.held,
         "elastic_supports": _springs(scene),
         **_inside(scene),
+        **_filled(scene),
         **({"fibre_direction": fibres.fibre_direction, "contrast": fibres.contrast} if fibres else {}),
     }
 
@@ -216,6 +217,14 @@ def _inside(scene: Scene) -> dict[str, Any]:
         return {}
     young, ratio, parts = moduli(scene.tissue, scene.inclusions)
     return {"youngs_modulus": young, "poisson_ratio": ratio, "parts": parts}
+
+
+def _filled(scene: Scene) -> dict[str, Any]:
+    """The walls of the cavities that a fluid fills, where there are some."""
+    if FLUID not in scene.extras:
+        return {}
+    shells = scene.mesh.shells
+    return {"cavities": shells[:, None] == 1 + np.arange(shells.max())}
 
 
 def _springs(scene: Scene) -> list[ElasticSupport]:
@@ -247,12 +256,12 @@ def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
 
 
 _BOTH, _ONE = ("linear", PLAIN), ("linear",)
-DEAD = "dead forces"  # of `vdmbench.study.registry.EXTRAS`
+DEAD, FLUID = "dead forces", "fluid in cavities"  # of `vdmbench.study.registry.EXTRAS`
 
 
 def _takes(solvers: tuple[str, ...], *more: str) -> dict[str, tuple[str, ...]]:
     """What all elements take that not every model does, and more."""
-    return dict.fromkeys(("normal springs", "full springs", "inclusions", *more), solvers)
+    return dict.fromkeys(("normal springs", "full springs", "inclusions", "cavities", *more), solvers)
 
 
 # Bytes at the peak of a process: multigrid, which is taken where a factor has no room; an LU factor of the plain
@@ -290,7 +299,7 @@ for _model in (
         of_any_modulus=_ONE,
         version="3",
         prepare=_small_strain,
-        takes=_takes(_BOTH, DEAD) | {"indenter": _ONE},
+        takes=_takes(_BOTH, DEAD) | {"indenter": _ONE, FLUID: _ONE},
         solvers=_BOTH,
         superposes=_BOTH,
     ),
@@ -300,14 +309,14 @@ for _model in (
         version="2",
         prepare=_small_strain,
         memory=lambda size, _: 1.8e3 * size.tetrahedra,
-        takes=_takes(_ONE, DEAD, "indenter"),
+        takes=_takes(_ONE, DEAD, "indenter", FLUID),
     ),
     _elements(
         name="fem-p2",
         of_any_modulus=_ONE,
         version="2",
         prepare=_small_strain,
-        takes=_takes(_ONE, DEAD, "indenter"),
+        takes=_takes(_ONE, DEAD, "indenter", FLUID),
     ),
     _elements(
         name="fem-condensed",
@@ -328,7 +337,7 @@ for _model in (
         version="5",
         prepare=_finite_strain,
         memory=_finite,
-        takes=_takes(_BOTH, DEAD) | {"law": _ONE, "indenter": _ONE, SCANNED: _ONE},
+        takes=_takes(_BOTH, DEAD) | {"law": _ONE, "indenter": _ONE, SCANNED: _ONE, FLUID: _ONE},
         tissue=("youngs_modulus", "poisson_ratio", "law", *LAW_KEYS),
         solvers=_BOTH,
         superposes=(),

@@ -170,6 +170,8 @@ def _model(scene: Scene, name: str, springs: sparse.csr_array | None) -> Model |
             # a T of the study is the mean over the edges of one that grows from the support
             grown = chosen["surface_tension"] * (rule.surface_tension / rule.surface_tension.mean())
             whole = dataclasses.replace(whole, surface_tension=grown)
+        if FLUID in scene.extras:
+            whole = dataclasses.replace(whole, fluid_in_cavities=True)
         if scene.inclusions:
             whole = dataclasses.replace(whole, lumps=_lumps(scene, own_ratio))
         if fibres is not None:
@@ -240,6 +242,7 @@ _surface = partial(
 )
 # of `vdmbench.study.registry.EXTRAS`
 SPRINGS, FULL, DEAD, INCLUSIONS = "normal springs", "full springs", "dead forces", "inclusions"
+CAVITIES, FLUID = "cavities", "fluid in cavities"
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
 _OF_SOLVERS = ("tolerance", "stop", "volume_row")
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", *_OF_SOLVERS)
@@ -285,7 +288,7 @@ for _registered in (
         family=Family.PEERS,
         benched=("nonlinear",),
         takes={
-            **dict.fromkeys((SPRINGS, FULL, DEAD), ("linear", "nonlinear")),
+            **dict.fromkeys((SPRINGS, FULL, DEAD, CAVITIES, FLUID), ("linear", "nonlinear")),
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },

@@ -10,7 +10,8 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from ..body.mesh import Mesh
-from ..body.topology import OUTWARD_FACES, pieces
+from ..body.surface_measures import pieces
+from ..body.topology import OUTWARD_FACES
 from ..study.schema import Inclusion, Study, Tissue
 from .placed import SceneError
 from .regions import origin, shifted

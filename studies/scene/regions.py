@@ -28,6 +28,14 @@ def select(region: Region | str, mesh: Mesh, named: Mapping[str, Region]) -> Mas
     """
     if isinstance(region, str):
         return select(named[region], mesh, named)
+    found = _selected(region, mesh, named)
+    if region.all_of is None and region.any_of is None and region.group is None:
+        found = found & (mesh.in_cavity if region.cavity else ~mesh.in_cavity)
+    return found
+
+
+def _selected(region: Region, mesh: Mesh, named: Mapping[str, Region]) -> Mask:
+    """The same on all of the surface."""
     if region.below is not None:
         return _beyond(region.below, mesh, sign=-1.0)
     if region.above is not None:
@@ -47,6 +55,8 @@ def select(region: Region | str, mesh: Mesh, named: Mapping[str, Region]) -> Mas
         return np.logical_or.reduce([select(part, mesh, named) for part in region.any_of])
     if region.not_of is not None:
         return ~select(region.not_of, mesh, named)
+    if region.ball is None and region.cap is None:  # the walls of cavities, or the outer surface, whole
+        return np.ones(len(mesh.surface_nodes), dtype=bool)
     return profile_coordinate(region, mesh, mesh.surface_points) <= 1 + _TOLERANCE
 
 

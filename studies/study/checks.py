@@ -47,7 +47,7 @@ SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it ne
         shape.name: ({"mesh_size", *shape.needed}, set(shape.parameters) - shape.needed)
         for shape in SHAPES.values()
     },
-    "file": ({"path"}, {"mesh_size", "size", "scale", "coordinates", "repair"}),
+    "file": ({"path"}, {"mesh_size", "size", "scale", "coordinates", "repair", "cavities"}),
 }
 _KIND_KEYS = {kind.name: set(kind.keys) for kind in KINDS.values()}
 
@@ -327,6 +327,11 @@ def _check_loads(study: Study, extent: float | None) -> Iterator[Finding]:
                 size = factor * math.hypot(*(value if isinstance(value, tuple) else (value,)))
                 if told := _mixed_up(size, key.unit, modulus, extent):
                     yield ("constraints", place, name), told
+    if study.geometry.cavities == "fluid" and study.gravity is not None:
+        yield (
+            ("geometry", "cavities"),
+            "no model knows the fluid's weight; leave gravity out, or take empty ones",
+        )
     if extent is not None and study.gravity is not None:
         weight = study.tissue.density * math.hypot(*study.gravity.acceleration) * extent
         if weight > 10 * modulus:
@@ -370,7 +375,7 @@ def _check_acceptance(study: Study) -> Iterator[Finding]:
 
 
 _MOST_PARTS, _DEEPEST = 1000, 50  # regions that one region may be made of, and levels of them
-_ONE_OF = "below, above, ball, box, cap, group, all, any, not"
+_ONE_OF = "below, above, ball, box, cap, group, all, any, not, cavity"
 
 
 def _check_regions(study: Study) -> Iterator[Finding]:
@@ -439,6 +444,10 @@ def _groups_in(region: Region, loc: Loc) -> Iterator[Loc]:
 
 def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
     present = given(region)
+    if region.cavity is not None:
+        present = present - {"cavity"} or {"cavity"}
+        if combined := present & {"all", "any", "group"}:
+            yield (*loc, "cavity"), f"goes into the regions of {listed(combined)}, not beside it"
     if len(present) != 1:
         have = f", not {listed(present)}" if present else ""
         yield loc, f"give exactly one of {_ONE_OF}{have}"

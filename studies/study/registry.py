@@ -62,6 +62,8 @@ def split(name: str) -> tuple[str, str]:
 
 
 EXTRAS = {  # what a study has that not every model takes -> what is said of one that does not
+    "cavities": "knows no cavities; take bem, or finite elements",
+    "fluid in cavities": "knows no fluid in cavities; take bem, fem-linear or fem",
     "dead forces": "takes no dead force along a line or over facets; use another model for it",
     "normal springs": "takes no springs along the normal; use another model for them",
     "full springs": "takes no springs that resist in every direction; use another model for them",

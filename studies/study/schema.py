@@ -55,7 +55,7 @@ from .kinds import (
 from .loads import KINDS, AnyConstraint, keys_of_all
 from .measured import MOST_TABLES, Measured
 from .registry import SCANNED, Parameter, all_models, own_parameters
-from .shapes import LEAST_SLIVERS, MOST_PERTURBATION, SHAPES, shape_names
+from .shapes import CAVITIES, LEAST_SLIVERS, MOST_PERTURBATION, SHAPES, shape_names
 
 YoungsModulus = Annotated[
     float,
@@ -157,16 +157,22 @@ def _of_shapes(key: str) -> tuple[Any, Any]:
     ]
     if first.choices:
         kind = Literal[tuple(sorted(first.choices))]
+    if key == "cavities":  # what they hold is no part of the mesh
+        return kind | None, Field(None, description=told)
     return Annotated[kind | None, Enters.MESH], Field(None, description=told)
 
 
-_OF_FILE = {"size": [("file", "its largest extent")]}
+_OF_FILE = {
+    "size": [("file", "its largest extent")],
+    "cavities": [("file", f"{CAVITIES}; needed where closed pieces of its surface lie inside the outer one")],
+}
 
 
 class _Body(Table):
     if TYPE_CHECKING:
         shape: str
         size: float | Vector3 | None
+        cavities: Literal["empty", "fluid"] | None
     else:
         shape: Annotated[Literal[shape_names()], Enters.MESH] = Field(
             description="kind of body; `organ` is a procedural liver, `file` reads a mesh"
@@ -425,6 +431,10 @@ class Region(Table):
         None, alias="any", description="nodes that are in any of these regions", min_length=1, strict=False
     )
     not_of: RegionRef | None = Field(None, alias="not", description="nodes that are not in this region")
+    cavity: bool | None = Field(
+        None,
+        description="true: of the walls of cavities, alone all of them; else a region is on the outer surface",
+    )
 
 
 RegionRef = Annotated[
@@ -704,6 +714,10 @@ def extras_of(study: Study) -> frozenset[str]:
     found = {KINDS[part.kind].extra(part) for part in study.constraints if part.kind in KINDS} - {""}
     if study.tissue.law not in (None, NEO_HOOKEAN):
         found.add("law")
+    if study.geometry.cavities is not None:
+        found.add("cavities")
+    if study.geometry.cavities == "fluid":
+        found.add("fluid in cavities")
     if study.inclusions:
         found.add("inclusions")
     if study.gravity is not None and study.gravity.scanned and any(study.gravity.acceleration):

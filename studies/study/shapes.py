@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 Extents = tuple[float, float, float]
 VOLUME_SUFFIXES = (".msh", ".vtu", ".vtk")
+CAVITIES = "what its cavities hold: nothing, or an incompressible fluid that keeps the volume of each"
 FILE = "file"  # the shape that is read, and has no declaration
 
 
@@ -196,6 +197,38 @@ _solid(
     extents=_ellipsoid_extents,
     area_and_volume=_ball_area_and_volume,
     add=_add_ball,
+)
+
+
+def _hollow_extents(body: Geometry) -> Extents:
+    radius, cavity = body.number("radius"), body.number("cavity_radius")
+    if not cavity < radius:
+        raise MeshError(
+            f"the cavity must be smaller than the ball: {cavity:g} m in {radius:g} m", "cavity_radius"
+        )
+    return (2 * radius,) * 3
+
+
+def _hollow_area_and_volume(body: Geometry) -> tuple[float, float]:
+    radius, cavity = body.number("radius"), body.number("cavity_radius")
+    return 4 * math.pi * (radius**2 + cavity**2), 4 / 3 * math.pi * (radius**3 - cavity**3)
+
+
+def _add_hollow_ball(occ: Any, body: Geometry) -> None:
+    whole, cavity = (occ.addSphere(0.0, 0.0, 0.0, body.number(name)) for name in ("radius", "cavity_radius"))
+    occ.cut([(3, whole)], [(3, cavity)])
+
+
+_solid(
+    "hollow-sphere",
+    {
+        "radius": ShapeKey("radius"),
+        "cavity_radius": ShapeKey("radius of the ball in its middle that is left out"),
+        "cavities": ShapeKey(CAVITIES, choices=("empty", "fluid")),
+    },
+    extents=_hollow_extents,
+    area_and_volume=_hollow_area_and_volume,
+    add=_add_hollow_ball,
 )
 
 

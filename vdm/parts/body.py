@@ -62,6 +62,7 @@ class _Part:
     body : its surface, ready to be deformed
     inner, shared : masks (n,) of I and C
     owns : mask (n,) of the nodes of the body's surface that turn with it
+    walls : (F, k) whether its facets are of the wall of each cavity that a fluid fills
     areas : (n,) shares of its nodes in its surface
     places : (n_C,) of the shared nodes among all shared ones
     block : factor of S_II
@@ -76,6 +77,7 @@ class _Part:
     shared: Mask
     places: Index
     owns: Mask
+    walls: Mask
     areas: Array
     block: Factor
     follows: Array
@@ -92,18 +94,21 @@ class _Acting:
     on_surface : (N, 3) contact on the whole surface [N]
     weight : (n,) pressure of the weight at all nodes [Pa]
     rise : (3,) its slope [Pa/m]
+    filled : each part's (n, 3, k) gradient of the volumes of the cavities that a fluid fills
     """
 
     states: list[DeformedSurface]
     on_surface: Array
     weight: Array
     rise: Array
+    filled: list[Array]
 
 
 class Parts:
     """The body of a problem of boundary elements, cut into `count` parts; `vdm.solvers.nonlinear.Large`.
 
     Nodes of the problem's surface come first, those inside after them. One part is the problem's own formulation.
+    The pressures are those of the parts, and after them of the cavities that a fluid fills.
 
     Raises
     ------
@@ -122,7 +127,10 @@ class Parts:
         points = self.cut.points
         n = len(points)
         self.rest = points - problem.body.origin
-        self.n_pressures = len(self.cut.parts)
+        self.n_parts = len(self.cut.parts)
+        filled = whole.parameters.fluid_in_cavities
+        self._n_filled = int(surface.shells.max()) if filled else 0
+        self.n_pressures = self.n_parts + self._n_filled
         self.free = np.ones(n, np.bool_)
         self.free[: len(held)] = ~held
         fixed = ~self.free
@@ -147,11 +155,14 @@ class Parts:
         for number, triangles in enumerate(self.cut.parts):
             self._owner[triangles] = number
         self._owner = self._owner[: surface.n_nodes]
-        parameters = replace(whole.parameters, ground=None)
+        parameters = replace(whole.parameters, ground=None, fluid_in_cavities=False)
+        of_shell = np.zeros(n, np.int64)  # nodes of caps are of none, and so are facets with one of them
+        of_shell[surface.triangles] = surface.shells[:, None]
         self.parts: list[_Part] = []
         for number, triangles in enumerate(self.cut.parts):
             nodes, local = np.unique(triangles, return_inverse=True)
-            if self.n_pressures == 1:
+            walls = of_shell[triangles].min(axis=1)[:, None] == 1 + np.arange(self._n_filled)
+            if self.n_parts == 1:
                 form = copy.copy(whole)
                 form.parameters = parameters
             else:
@@ -161,9 +172,14 @@ class Parts:
             on_surface = nodes < surface.n_nodes
             owns[on_surface] = self._owner[nodes[on_surface]] == number
             inner = self.free[nodes] & ~shared[nodes]
-            part = _condensed(form, nodes, inner, shared[nodes], owns, place[nodes[shared[nodes]]], block)
+            part = _condensed(
+                form, nodes, inner, shared[nodes], owns, walls, place[nodes[shared[nodes]]], block
+            )
             self.parts.append(part)
-        self.volumes = np.array([part.form.surface.volume for part in self.parts])
+        cavities = [self._cavity(part, part.body.at(np.zeros((len(part.nodes), 3)))) for part in self.parts]
+        self.volumes = np.append(
+            [part.form.surface.volume for part in self.parts], sum(held for held, _ in cavities)
+        )
         self.wanted = 1
         self._turns: Array | None = None
         self._factor = self._ground_joining
@@ -172,15 +188,20 @@ class Parts:
         """As in `Large`."""
         problem, n_surface = self.problem, self.problem.formulation.surface.n_nodes
         internal, applied = np.zeros_like(x), np.zeros_like(x)
-        gap = np.empty(self.n_pressures)
+        gap, filled = np.zeros(self.n_pressures), list[Array]()
         states: list[DeformedSurface] = []
         for number, part in enumerate(self.parts):
             moved = x[part.nodes]
             state = part.body.at(moved)
             internal[part.nodes] += part.form.deformed_internal_force(moved, state)
             applied[part.nodes] += pressure[number] * state.area_vectors
-            gap[number] = state.volume / self.volumes[number] - 1.0
+            gap[number] = state.volume
+            held, gradient = self._cavity(part, state)
+            gap[self.n_parts :] += held
+            applied[part.nodes] += gradient @ pressure[self.n_parts :]
+            filled.append(gradient)
             states.append(state)
+        gap = gap / self.volumes - 1.0
         turns = np.array([state.rotation for state in states])
         outer = problem.body.at(x[:n_surface], turns[0] if len(turns) == 1 else turns[self._owner])
         on_surface = problem.deformed_force(load, outer, outer.area_vectors)
@@ -195,8 +216,22 @@ class Parts:
             rise = load.weight * problem.support.density * problem.support.gravity
             weight = (self.rest + x) @ rise - float((problem.body.rest @ rise).min())
             on_surface = on_surface - weight[:n_surface, None] * outer.area_vectors
-        acting = _Acting(states, on_surface, weight, rise)
+        acting = _Acting(states, on_surface, weight, rise, filled)
         return Balance(x, pressure, gap, internal - applied, scale, acting)
+
+    def _cavity(self, part: _Part, state: DeformedSurface) -> tuple[Array, Array]:
+        """What a part's facets add to the volumes (k,) of filled cavities, and their gradient (n, 3, k).
+
+        The volume is that to the rest centroid of the body; its sum over the parts is the cavity's.
+        """
+        vectors = np.where(part.walls[:, :, None], state.facet_vectors.T[:, None], 0.0)
+        corners = (
+            state.positions[part.form.surface.triangles[:, 0]] + part.body.origin - self.problem.body.origin
+        )
+        gradient = [part.body.gather @ np.ascontiguousarray(-vectors[:, k]) for k in range(self._n_filled)]
+        if not gradient:
+            return np.zeros(0), np.zeros((len(part.nodes), 3, 0))
+        return np.einsum("fkc,fc->k", vectors, corners) / -3.0, np.stack(gradient, axis=2)
 
     def correction(
         self,
@@ -206,55 +241,56 @@ class Parts:
         turn: Array,  # noqa: ARG002 - each part has a frame of its own
     ) -> tuple[Array, Array]:
         """As in `Large`."""
-        n, m, k = self._n_shared, self.n_pressures, BORDER
+        n, m, k = self._n_shared, self.n_parts, BORDER
         acting: _Acting = balance.parts
         turns = self._joined_at(np.array([state.rotation for state in acting.states]))
-        right = np.zeros((n, 3, 1 + k * m))
+        # of the border those of each part, and after them the pressures in cavities
+        columns = [np.append(k * e + np.arange(k), k * m + np.arange(self._n_filled)) for e in range(m)]
+        size = k * m + self._n_filled
+        right, corner, target = np.zeros((n, 3, 1 + size)), np.zeros((size, size)), np.zeros(size)
         right[:, :, 0] = -lacking[self._shared]
-        corner, target = np.zeros((m, k, m, k)), np.zeros((m, k))
-        target[:, 0] = -gap * self.volumes
+        target[: k * m : k], target[k * m :] = np.split(-gap * self.volumes, [m])
         inside: list[Array] = []
-        for e, (part, q) in enumerate(zip(self.parts, turns, strict=True)):
+        for e, (part, q, at) in enumerate(zip(self.parts, turns, columns, strict=True)):
             # vectors in rows: v of the world is v @ q.T in the part's frame
             turning, own = self._turning(e, q, balance)
             pushes = np.concatenate(
                 [
                     np.stack([-lacking[part.nodes] @ q.T, acting.states[e].area_vectors @ q.T], axis=2),
                     turning,
+                    np.einsum("nck,dc->ndk", acting.filled[e], q),
                 ],
                 axis=2,
             )
-            within = pushes[part.inner].reshape(-1, 1 + k)
+            within = pushes[part.inner].reshape(-1, 1 + len(at))
             solved = np.asarray(part.block.solve(np.asfortranarray(within)))
             inside.append(solved)
-            corner[e, :, e] = within[:, 1:].T @ solved[:, 1:]
-            corner[e, 1:, e, 1:] += own
+            corner[np.ix_(at, at)] += within[:, 1:].T @ solved[:, 1:]
+            corner[np.ix_(at[1:k], at[1:k])] += own
             if not (part.inner | part.shared).any():  # it is held all over, and its pressure is at rest
-                corner[e, 0, e, 0] = 1.0
-            target[e] -= within[:, 1:].T @ solved[:, 0]
+                corner[k * e, k * e] = 1.0
+            target[at] -= within[:, 1:].T @ solved[:, 0]
             if len(part.places):
-                passed = (part.follows.T @ within).reshape(-1, 3, 1 + k)
+                passed = (part.follows.T @ within).reshape(-1, 3, 1 + len(at))
                 right[part.places, :, 0] -= np.einsum("nc,cd->nd", passed[:, :, 0], q)
                 joined = pushes[part.shared][:, :, 1:] - passed[:, :, 1:]
-                right[part.places, :, 1 + k * e : 1 + k * (e + 1)] += np.einsum("ncj,cd->ndj", joined, q)
-        flat = right.reshape(3 * n, 1 + k * m)
+                right[part.places[:, None], :, 1 + at] += np.einsum("ncj,cd->njd", joined, q)
+        flat = right.reshape(3 * n, 1 + size)
         border = flat[:, 1:].copy()
         if n:
             flat = linalg.cho_solve((self._factor, True), flat, check_finite=False)
-        system = border.T @ flat[:, 1:] + corner.reshape(k * m, k * m)
-        push = np.linalg.solve(system, target.reshape(-1) - border.T @ flat[:, 0])
+        push = np.linalg.solve(border.T @ flat[:, 1:] + corner, target - border.T @ flat[:, 0])
         moved_together = (flat[:, 0] + flat[:, 1:] @ push).reshape(-1, 3)
-        push = push.reshape(m, k)
         change = np.zeros((len(self.free), 3))
         change[self._shared] = moved_together
         for e, (part, q) in enumerate(zip(self.parts, turns, strict=True)):
-            moved = inside[e] @ np.append(1.0, push[e])
+            moved = inside[e] @ np.append(1.0, push[columns[e]])
             if len(part.places):
                 moved = moved - part.follows @ (moved_together[part.places] @ q.T).reshape(-1)
             change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ q
         # the pressure of the weight rises where a part goes down as one
         sunk = [part.areas @ change[part.nodes] @ acting.rise for part in self.parts]
-        return change[self.free], push[:, 0] - sunk
+        return change[self.free], np.append(push[: k * m : k] - sunk, push[k * m :])
 
     def _turning(self, number: int, q: Array, balance: Balance) -> tuple[Array, Array]:
         """What turning a part adds to its slope, `U C U^T`: U (n, 3, 6) in its frame, and C^-1 (6, 6).
@@ -273,6 +309,7 @@ class Parts:
         pushed = (balance.pressure[number] + acting.weight[part.nodes])[:, None] * vectors
         own = part.nodes[part.owns]
         pushed[part.owns] += acting.on_surface[own] @ q.T
+        pushed += acting.filled[number] @ balance.pressure[self.n_parts :] @ q.T
         slope = np.cross(modes, (stressed - pushed)[:, None]).transpose(0, 2, 1)
         slope -= np.stack([part.form.elastic_force(mode) for mode in np.moveaxis(turned, 2, 0)], axis=2)
         slope -= vectors[:, :, None] * ((q @ acting.rise) @ turned)[:, None, :]
@@ -310,7 +347,8 @@ class Parts:
 
     def mean_pressure(self, pressure: Array) -> float:
         """By volume [Pa]."""
-        return float(pressure @ self.volumes / self.volumes.sum())
+        volumes = self.volumes[: self.n_parts]
+        return float(pressure[: self.n_parts] @ volumes / volumes.sum())
 
     def scalars(self, balance: Balance) -> dict[str, float]:
         """`parts`, `part_rotation` the largest between two parts [rad], `part_strain` the largest within one."""
@@ -318,15 +356,13 @@ class Parts:
         between = np.einsum("aij,bij->ab", turns, turns)
         angle = np.arccos(np.clip((between - 1.0) / 2.0, -1.0, 1.0))
         strain = max(surface_strain(state) for state in balance.parts.states)
-        return {"parts": float(self.n_pressures), "part_rotation": float(angle.max()), "part_strain": strain}
+        return {"parts": float(self.n_parts), "part_rotation": float(angle.max()), "part_strain": strain}
 
     def reserved(self, status: Status, balance: Balance) -> Status:
         """The status, with what the parts do not follow: too few of them, strain within one."""
         told = []
-        if self.n_pressures < self.wanted:
-            message = (
-                f"the load bends the body: {self.wanted} parts are called for, and {self.n_pressures} made"
-            )
+        if self.n_parts < self.wanted:
+            message = f"the load bends the body: {self.wanted} parts are called for, and {self.n_parts} made"
             why = f" ({self.cut.refused})" if self.cut.refused else ""
             told.append((message + why, "refine the surface, or use finite elements"))
         strain = max(surface_strain(state) for state in balance.parts.states)
@@ -352,6 +388,7 @@ def _condensed(
     inner: Mask,
     shared: Mask,
     owns: Mask,
+    walls: Mask,
     places: Index,
     block: Factor | None,
 ) -> _Part:
@@ -368,7 +405,7 @@ def _condensed(
         block = form.factor(inner) if inner.any() else _Nothing()
     areas = form.surface.nodal_areas / form.surface.area
     body = DeformableSurface(form.surface)
-    return _Part(nodes, form, body, inner, shared, places, owns, areas, block, follows, carried)
+    return _Part(nodes, form, body, inner, shared, places, owns, walls, areas, block, follows, carried)
 
 
 class _Nothing:

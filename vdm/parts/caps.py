@@ -14,7 +14,6 @@ from solver_common.arrays import Array, Index, Mask
 # nodes inside keep this share of the mesh size from the loop
 CLEAR = 0.6
 SMOOTHINGS = 4
-ROWS = 512  # of points, at once
 
 
 class CutError(ValueError):
@@ -175,24 +174,6 @@ def _harmonic(triangles: Index, heights: Array, n: int) -> Array:
         right = -(laplacian[known:, :known] @ heights)
         values[known:] = spsolve(sparse.csc_array(laplacian[known:, known:]), right)
     return values
-
-
-def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
-    """(n,) share of the full solid angle that a closed surface takes at each place (n, 3): 1 inside, 0 outside.
-
-    Van Oosterom and Strackee 1983.
-    """
-    found = np.empty(len(places))
-    for start in range(0, len(places), ROWS):
-        arms = points[triangles][None] - places[start : start + ROWS, None, None]
-        a, b, c = arms.transpose(2, 0, 1, 3)
-        la, lb, lc = (np.linalg.norm(arm, axis=2) for arm in (a, b, c))
-        triple = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
-        below = la * lb * lc
-        for one, other, length in ((a, b, lc), (b, c, la), (c, a, lb)):
-            below += np.einsum("nfi,nfi->nf", one, other) * length
-        found[start : start + ROWS] = np.arctan2(triple, below).sum(axis=1) / (2.0 * np.pi)
-    return found
 
 
 def nearest(places: Array, points: Array) -> Array:

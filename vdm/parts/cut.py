@@ -13,7 +13,8 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from solver_common.arrays import Array, Index, Mask
-from vdm.parts.caps import CutError, cap, nearest, solid_angles
+from solver_common.solid_angles import solid_angles
+from vdm.parts.caps import CutError, cap, nearest
 
 # places of the plane that are tried, as a share of the area beside the middle
 SHIFTS = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12, 0.18, -0.18)
@@ -120,11 +121,9 @@ def _closed(
     grown = np.vstack([points, new])
     _check_inside(grown, triangles, loops, facets, len(points))
     sides = (np.vstack([triangles[~labels], facets]), np.vstack([triangles[labels], facets[:, ::-1]]))
-    pieces = [piece for side in sides for piece in components(side)]
+    pieces = [piece for side in sides for piece in _bodies(grown, side)]
     if min(map(len, pieces)) < SMALLEST:
         raise CutError("a cut would leave a part of a few facets")
-    if not all(volume(grown, piece) > 0.0 for piece in pieces):
-        raise CutError("caps of the cut cross the surface")
     return grown, pieces
 
 
@@ -189,8 +188,8 @@ def _loops(triangles: Index, labels: Mask, n: int) -> tuple[list[Index], Mask]:
     return loops, labels
 
 
-def components(triangles: Index) -> list[Index]:
-    """The facets (F, 3) by connected closed surface."""
+def _bodies(points: Array, triangles: Index) -> list[Index]:
+    """The facets (F, 3) by body: closed outer surfaces, each with the walls of the cavities in it."""
     nodes, local = np.unique(triangles, return_inverse=True)
     local = local.reshape(-1, 3)
     links = sparse.coo_array(
@@ -198,7 +197,16 @@ def components(triangles: Index) -> list[Index]:
         shape=(len(nodes),) * 2,
     )
     number, of = connected_components(links, directed=False)
-    return [triangles[of[local[:, 0]] == k] for k in range(number)]
+    pieces = [triangles[of[local[:, 0]] == k] for k in range(number)]
+    bodies = [piece for piece in pieces if volume(points, piece) > 0.0]
+    for wall in (piece for piece in pieces if volume(points, piece) <= 0.0):
+        around = [
+            k for k, body in enumerate(bodies) if solid_angles(points[wall[0]], points, body).min() > 0.5
+        ]
+        if len(around) != 1:
+            raise CutError("caps of the cut cross the surface")
+        bodies[around[0]] = np.vstack([bodies[around[0]], wall])
+    return bodies
 
 
 def volume(points: Array, triangles: Index) -> float:

@@ -51,9 +51,9 @@ class PartsSolver:
         body.wanted = 1 if self._given else wanted
         seconds = time.perf_counter() - start
         self._finer = self._finer_step = None
-        if self._given or body.n_pressures > 1:
+        if self._given or body.n_parts > 1:
             try:
-                self._finer = self._of(2 * body.n_pressures)
+                self._finer = self._of(2 * body.n_parts)
             except SolverError:
                 self._finer = None
         return seconds

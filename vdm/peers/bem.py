@@ -38,7 +38,8 @@ class BoundaryFormulation(DisplacementFormulation):
     S is the body's surface stiffness by symmetric Galerkin boundary elements: the work of the tractions that a
     solid of shear modulus mu needs for u (see `vdm.boundary.operators`). Poisson's ratio 1/2 is VDM's fluid: it
     keeps the volume, and dP is its pressure, the null vector of the single layer. A solid of a smaller ratio has
-    no such constraint; dP is then its mean pressure, `-kappa (sum g_i.u_i) / V`.
+    no such constraint; dP is then its mean pressure, `-kappa (sum g_i.u_i) / V`. A cavity that a fluid fills has a
+    pressure too, and keeps its volume.
 
     Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`). Other nodes may be held later, at the
     mesh's own resolution. Edges between `shared` nodes (N,), which other bodies have too, are not cut.
@@ -82,13 +83,15 @@ class BoundaryFormulation(DisplacementFormulation):
         except linalg.LinAlgError as error:
             raise SolverError(INDEFINITE) from error
         pressed = surface.area_vectors[:, :, None]
-        if self.is_incompressible:
-            self.columns = self.rows = DenseColumns(pressed)
-            self.corner = np.zeros((1, 1))
-        else:
-            self.columns = DenseColumns(np.zeros_like(pressed))
-            self.rows = DenseColumns(pressed * (self.bulk_modulus / surface.volume))
-            self.corner = np.ones((1, 1))
+        filled = surface.cavity_vectors if parameters.fluid_in_cavities else pressed[:, :, :0]
+        self.corner = np.zeros((1 + filled.shape[2],) * 2)
+        columns = rows = pressed
+        if not self.is_incompressible:
+            columns, rows = np.zeros_like(pressed), pressed * (self.bulk_modulus / surface.volume)
+            self.corner[0, 0] = 1.0
+        self.columns, self.rows = (
+            DenseColumns(np.concatenate([part, filled], 2)) for part in (columns, rows)
+        )
 
     @classmethod
     def supported(cls, surface: SurfaceMesh, parameters: Parameters, held: Mask) -> BoundaryFormulation:
