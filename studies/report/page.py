@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -24,8 +24,10 @@ from .section_convergence import mesh_convergence
 from .section_cost import run_time_against_error
 from .section_errors import error_against_load, error_against_parameters
 from .section_force import force_against_indentation
+from .section_inputs import inputs
 from .section_limits import small_strain_limits
 from .section_map import doubts, map_of_words
+from .section_measurement import against_measurement
 from .section_measures import all_measures
 from .section_scene import scene
 from .section_stability import numerical_stability
@@ -41,34 +43,32 @@ _MARGIN = 50_000  # markup around the viewer's data
 
 Make = Callable[[Digest], Section | None]
 
-# the order of the page; a section that has nothing to say returns None. The viewer comes after SECTIONS_BEFORE,
-# then what other files `section_NAME.py` have in their SECTIONS_FIRST; what they have in their SECTIONS comes after
-# SECTIONS_AFTER, and the APPENDIX last
-SECTIONS_BEFORE: tuple[Make, ...] = (
+# the order of the page; a section that has nothing to say returns None. The viewer comes after BEFORE. What other
+# files `section_NAME.py` have in their SECTIONS comes before the APPENDIX
+BEFORE: tuple[Make, ...] = (
     headline.headline,
+    map_of_words,
     mesh_convergence,
     error_against_parameters,
     error_against_load,
 )
-SECTIONS_AFTER: tuple[Make, ...] = (
+AFTER: tuple[Make, ...] = (
+    inputs,
+    against_measurement,
     force_against_indentation,
     numerical_stability,
     small_strain_limits,
     run_time_against_error,
     all_measures,
 )
-APPENDIX: tuple[Make, ...] = (case_table, failures, provenance, how_to_reproduce)
+APPENDIX: tuple[Make, ...] = (doubts, case_table, failures, provenance, how_to_reproduce)
 
 
 @cache
-def _further_sections(place: str) -> tuple[Make, ...]:
-    found = load_all("vdmbench.report", "section_")
-    return tuple(make for module in found for make in getattr(module, place, ()))
-
-
 def _after() -> tuple[Make, ...]:
     """What comes after the viewer."""
-    return (*_further_sections("SECTIONS_FIRST"), *SECTIONS_AFTER, *_further_sections("SECTIONS"), *APPENDIX)
+    others = load_all("vdmbench.report", "section_")
+    return (*AFTER, *(make for module in others for make in getattr(module, "SECTIONS", ())), *APPENDIX)
 
 
 def write_picture(run: Run, path: Path) -> None:
@@ -109,16 +109,17 @@ def page_html(run: Run, *, stills: bool = True) -> str:
 
 def every_section(digest: Digest) -> list[Section]:
     """All that has something to say, but for the viewer."""
-    makers = (*SECTIONS_BEFORE, *_after())
     with np.errstate(all="ignore"):
-        return [section for make in makers if (section := make(digest))]
+        return _made(digest, (*BEFORE, *_after()))
+
+
+def _made(digest: Digest, makers: Sequence[Make]) -> list[Section]:
+    return [section for make in makers if (section := make(digest))]
 
 
 def _page_html(digest: Digest, *, stills: bool) -> str:
     run, found = digest.run, verdicts(digest)
-    before, after = (
-        [section for make in part if (section := make(digest))] for part in (SECTIONS_BEFORE, _after())
-    )
+    before, after = _made(digest, BEFORE), _made(digest, _after())
     head = Head(
         told(found),
         headline.family_rows(found, digest),
@@ -126,10 +127,6 @@ def _page_html(digest: Digest, *, stills: bool) -> str:
         headline.against_limits(found, digest),
         scene(digest),
     )
-    if table := map_of_words(found):
-        before.insert(1, table)
-    if doubtful := doubts(found):
-        after.insert(-len(APPENDIX), doubtful)
 
     def page(sections: list[Section]) -> str:
         return html_document(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 from ..measures.bars import reference_bar, where_reached
 from ..measures.case import CaseResult
@@ -12,7 +12,7 @@ from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
 from ..verdict.digest import Digest, failed_steps
 from ..verdict.formatting import listed, parameter_name, percent, plural, swept_value
-from .blocks import Block, Cell, Field, Section, Table, Text, frame_table
+from .blocks import Block, Cell, Field, Section, Text, frame_table
 
 _OPEN_ROWS = 12
 _MOST_CELLS = 9000  # of the page; the rest is in metrics.csv
@@ -95,7 +95,7 @@ def _error(digest: Digest, model: str, metric: str) -> Callable[[CaseResult], Ce
 
 
 class Stopped(NamedTuple):
-    """What a model says of a step, where first and how often, and what to do."""
+    """What a model, or a case, says: of which step first and how often, and what to do."""
 
     model: str
     where: str
@@ -106,38 +106,28 @@ class Stopped(NamedTuple):
 def failures(digest: Digest) -> Section | None:
     """Cases without a result, models that stopped short, and steps that need care, each with reason and remedy."""
     blocks: list[Block] = []
-    if digest.run.failed:
-        blocks.append(_table("failed", "Cases that failed", "Case", digest.run.failed, _of_failed))
-    for name, caption, rows in (
-        ("stopped", "Models that stopped in a finished case", stopped_models(digest)),
-        ("reserved", "Results that their model warns about", _reservations(digest)),
+    failed = [
+        Stopped(one["label"] or one["hash"][:8], one["code"], one["message"], one["remedy"])
+        for one in digest.run.failed
+    ]
+    for name, caption, first, rows in (
+        ("failed", "Cases that failed", "Case", failed),
+        ("stopped", "Models that stopped in a finished case", "Model and case", stopped_models(digest)),
+        ("reserved", "Results that their model warns about", "Model and case", _reservations(digest)),
     ):
+        fields = [
+            Field(first, lambda row: Cell(row.model, row.where)),
+            Field("What happened", lambda row: row.message),
+            Field("What to do", lambda row: row.remedy),
+        ]
         if rows:
-            blocks.append(
-                _table(name, caption, "Model and case", rows, lambda row: Cell(row.model, row.where))
-            )
+            blocks.append(frame_table(rows, fields, name, caption=caption))
     if digest.run.missing:
         names = [label or "a case" for label in digest.run.missing]
         shown = names if len(names) <= 8 else [*names[:7], f"{len(names) - 7} more"]
         text = f"{plural(len(names), 'case')} not run yet: {listed(shown)}."
         blocks.append(Text(f"{text} Run the study again to do what is missing."))
     return Section("failures", "What failed or is missing", blocks) if blocks else None
-
-
-def _of_failed(entry: Mapping[str, str]) -> Cell:
-    return Cell(entry["label"] or entry["hash"][:8], entry["code"])
-
-
-def _table(name: str, caption: str, first: str, rows: Sequence[Any], who: Callable[[Any], Cell]) -> Table:
-    def told(key: str) -> Callable[[Any], str]:
-        return lambda row: row[key] if isinstance(row, Mapping) else getattr(row, key)
-
-    fields = [
-        Field(first, who),
-        Field("What happened", told("message")),
-        Field("What to do", told("remedy")),
-    ]
-    return frame_table(rows, fields, name, caption=caption)
 
 
 def stopped_models(digest: Digest) -> list[Stopped]:

@@ -105,6 +105,3 @@ def _indices(digest: Digest, spread: InputSpread, name: str) -> Table:
         ),
     ]
     return frame_table(_told(digest, spread), fields, name, mark=digest.mark)
-
-
-SECTIONS_FIRST = (inputs,)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from ..study.registry import Family
+from ..verdict.digest import Digest
 from ..verdict.formatting import parameter_name, swept_value
-from ..verdict.verdict import Verdicts
+from ..verdict.verdict import verdicts
 from ..verdict.words import TITLES
 from .blocks import Cell, Column, Field, Section, Table, Text, frame_table
 
 _MOST_VALUES = 12  # of a parameter: a wider map is no table that one reads
 
 
-def map_of_words(verdicts: Verdicts) -> Section | None:
+def map_of_words(digest: Digest) -> Section | None:
     """A table for each family whose cases differ in their word; None where other than two parameters are swept."""
-    found = verdicts.map
+    told = verdicts(digest)
+    found = told.map
     if found is None or max(len(found.x_values), len(found.y_values)) > _MOST_VALUES:
         return None
     columns = [Column(parameter_name(found.y), numeric=False)]
@@ -21,7 +23,7 @@ def map_of_words(verdicts: Verdicts) -> Section | None:
     tables = [
         Table(
             f"map-{family}",
-            f"{TITLES[Family(family)]}, {verdicts[family].model}",
+            f"{TITLES[Family(family)]}, {told[family].model}",
             columns,
             [
                 [Cell(swept_value(value, found.y_unit)), *map(Cell, words)]
@@ -37,12 +39,13 @@ def map_of_words(verdicts: Verdicts) -> Section | None:
     return Section("map", "Where it holds", [Text(note, kind="note"), *tables])
 
 
-def doubts(verdicts: Verdicts) -> Section | None:
+def doubts(digest: Digest) -> Section | None:
     """A row per constraint and doubt, of several cases the first."""
     fields = [
         Field("Constraint", lambda doubt: doubt.constraint),
         Field("Case", lambda doubt: doubt.case),
         Field("What is doubtful", lambda doubt: doubt.text),
     ]
-    table = frame_table(verdicts.doubts, fields, "doubts")
-    return Section("doubts", "What is doubtful about the scene", [table]) if verdicts.doubts else None
+    found = verdicts(digest).doubts
+    table = frame_table(found, fields, "doubts")
+    return Section("doubts", "What is doubtful about the scene", [table]) if found else None

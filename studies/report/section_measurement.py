@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,7 +16,7 @@ from ..study.measured import AXES
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING, listed, plain, quantity, scale_of, short_percent
 from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table
-from .plots import Curve, Plot, draw, lines, name_ticks
+from .plots import Curve, lines, name_ticks
 from .svg import INK
 
 _MOST_DRAWN = 40  # quantities of a figure
@@ -47,7 +47,7 @@ def against_measurement(digest: Digest) -> Section | None:
         name = digest.case_name(case) if len(digest.cases) > 1 else ""
         blocks.append(Text(_sentence(found, name)))
         blocks += [_summary(digest, case, found, number, unit) for unit in _units(found)]
-        if figures := [figure for make in (_figure, _curves) for figure in make(digest, case, found, number)]:
+        if figures := list(_figures(digest, case, found, number)):
             blocks.append(Figures(figures, digest.legend))
         blocks.append(_details(digest, case, found, number))
     known = any(case.measurement is not None and case.measurement.inputs for case in cases)
@@ -174,65 +174,61 @@ def _named(one: Quantity, case: CaseResult) -> str:
     return f"{name} at {plain(float(case.load_factors[one.step]))}" if len(case.load_factors) > 1 else name
 
 
-def _figure(digest: Digest, case: CaseResult, found: Measurement, number: int) -> list[Figure]:
-    """Bars of the components that were measured at points."""
-    drawn = [k for k, one in enumerate(found.quantities) if one.component in AXES][:_MOST_DRAWN]
-    if not drawn:
-        return []
-    places = np.arange(len(drawn), dtype=float)
-    data = 1e3 * found.values[drawn]
-    bars = [1e3 * found.quantities[k].uncertainty for k in drawn]
-    plot = Plot("measured quantity", "displacement [mm]", f"measured{number}")
-    described = []
-    gap = 0.8 / (1 + len(digest.models))  # a quantity's models end before the next quantity
-    with plot as axes:
-        axes.vlines(places, data - bars, data + bars, colors=INK, linewidth=2.2)
-        axes.plot(places, data, "_", color=INK, markersize=11)
-        for name in found.simulated:
-            if name not in digest.models:
-                continue
-            x, y = places + gap * (1 + digest.models.index(name)), 1e3 * found.simulated[name][drawn]
-            draw(axes, digest.colour(name), name, x, y, named=False, linestyle="none", markersize=4)
-            described.append(name)
-        ticks = [(float(x), _named(found.quantities[k], case)) for x, k in zip(places, drawn, strict=True)]
-        name_ticks(axes, ticks)
-    heading = "Measured (bars: ± u_D) and simulated"
-    return [Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)]
-
-
-def _curves(digest: Digest, _: CaseResult, found: Measurement, number: int) -> list[Figure]:
-    """Of each constraint whose force was measured the force against depth, measured and simulated."""
-    figures: list[Figure] = []
-    for name in dict.fromkeys(one.point for one in found.quantities if one.component == FORCE):
-        mine = [k for k, one in enumerate(found.quantities) if (one.point, one.component) == (name, FORCE)]
-        depths = np.array([found.quantities[k].depth for k in mine])
-        order = np.argsort(depths)
-        mine, depths = [mine[k] for k in order], depths[order]
-        force, unit = scale_of("N", [found.quantities[k].value for k in mine])
-        length, length_unit = scale_of("m", depths)
+def _figures(digest: Digest, case: CaseResult, found: Measurement, number: int) -> Iterator[Figure]:
+    """Displacements at points side by side; of each constraint whose force was measured the force against depth."""
+    groups: dict[str, list[int]] = {}
+    for k, one in enumerate(found.quantities):
+        if one.component in (*AXES, FORCE):
+            groups.setdefault(one.point if one.component == FORCE else "", []).append(k)
+    models = [model for model in digest.models if model in found.simulated]
+    for force_of, mine in groups.items():
+        if force_of:
+            mine.sort(key=lambda k: found.quantities[k].depth)
+        quantities = [found.quantities[k] for k in mine[:_MOST_DRAWN]]
+        mine = mine[: len(quantities)]
+        size, unit = scale_of(quantities[0].unit, found.values[mine])
+        depths = np.array([one.depth for one in quantities])
+        length, length_unit = scale_of("m", depths) if force_of else (1.0, "")
+        x = depths / length if force_of else np.arange(len(mine), dtype=float)
+        # the models of a quantity stand beside it and end before the next one
+        gap = 0.0 if force_of else 0.8 / (1 + len(models))
+        look = {"markersize": 4} | ({} if force_of else {"named": False, "linestyle": "none"})
         curves = [
-            Curve(model, depths / length, found.simulated[model][mine] / force, look={"markersize": 4})
-            for model in digest.models
-            if model in found.simulated
+            Curve(model, x + gap * (1 + k), found.simulated[model][mine] / size, look=look)
+            for k, model in enumerate(models)
         ]
-        values = found.values[mine] / force
-        bars = np.array([found.quantities[k].uncertainty for k in mine]) / force
+        data = found.values[mine] / size
+        bars = np.array([one.uncertainty for one in quantities]) / size
+        names = (
+            []
+            if force_of
+            else [(float(at), _named(one, case)) for at, one in zip(x, quantities, strict=True)]
+        )
 
         def finish(
-            axes: Axes, x: Array = depths / length, values: Array = values, bars: Array = bars
+            axes: Axes,
+            x: Array = x,
+            data: Array = data,
+            bars: Array = bars,
+            names: Sequence[tuple[float, str]] = names,
         ) -> None:
-            axes.vlines(x, values - bars, values + bars, colors=INK, linewidth=2.2)
-            axes.plot(x, values, "_", color=INK, markersize=11)
-            axes.set_xlim(left=0.0)
-            axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+            axes.vlines(x, data - bars, data + bars, colors=INK, linewidth=2.2)
+            axes.plot(x, data, "_", color=INK, markersize=11)
+            if names:
+                name_ticks(axes, names)
+            else:
+                axes.set_xlim(left=0.0)
+                axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
 
-        title = f"Force of {name} against depth, measured (bars: ± u_D) and simulated"
-        labels = f"depth [{length_unit}]", f"force [{unit}]"
-        salt = f"curve{number}-{len(figures)}"
-        figures.append(
-            lines(digest, curves, *labels, title, salt, finish=finish, shown=lambda f: plain(f, 3))
+        what = f"Force of {force_of} against depth, measured" if force_of else "Measured"
+        labels = (f"depth [{length_unit}]", "force") if force_of else ("measured quantity", "displacement")
+        yield lines(
+            digest,
+            curves,
+            labels[0],
+            f"{labels[1]} [{unit}]",
+            f"{what} (bars: ± u_D) and simulated",
+            f"measured{number}-{force_of or 'points'}",
+            finish=finish,
+            shown=lambda value: plain(value, 3),
         )
-    return figures
-
-
-SECTIONS_FIRST = (against_measurement,)

@@ -57,23 +57,18 @@ def candidates(digest: Digest) -> list[tuple[View, str]]:
     if not cases:
         return []
     n_steps = max(len(case.load_factors) for _, case in cases)
-    out = [(View(cases, models, n_steps), "")]
-    if n_steps > 5:
-        out.append((View(cases, models, 5), "To keep the page small, the viewer has 5 of the load steps."))
-    if n_steps > 1:
-        out.append(
-            (View(cases, models, 1), "To keep the page small, the viewer has the step of full load only.")
-        )
-    if len(cases) > 1:
-        lean = f"To keep the page small, the viewer has the {cases[0][0]} case at full load only."
-        out.append((View(cases[:1], models, 1), lean))
     few = tuple(name for name in models if name in (digest.focus, digest.reference))
-    if len(few) < len(models):
-        leaner = (
-            f"To keep the page small, the viewer has one case at full load, and of the models only {few[0]}."
-        )
-        out.append((View(cases[:1], few, 1), leaner))
-    return out
+    found = [
+        (View(cases, models, n_steps), ""),
+        (View(cases, models, 5), "5 of the load steps."),
+        (View(cases, models, 1), "the step of full load only."),
+        (View(cases[:1], few, 1), f"one case at full load, and of the models only {few[0]}."),
+    ]
+    return [
+        (view, f"To keep the page small, the viewer has {what}" if what else "")
+        for k, (view, what) in enumerate(found)
+        if k in (0, len(found) - 1) or view.most_steps < n_steps
+    ]
 
 
 def payload(view: View, digest: Digest) -> dict[str, object]:

@@ -404,8 +404,9 @@ class Digest:
         """What is said of a model's times: nothing where all are of the run that did the others, here."""
         resumed = set(self.run.plan.get("resumed", ()))  # done before the last run that did others
         found, anew = set(), any(m.frames is not None for case in self.cases for m in case.models.values())
+        here = processor_name()
         for case in (case for case in self.cases if name in case.models):
-            about, frames, here = case.models[name].parameters, case.models[name].frames, processor_name()
+            about, frames = case.models[name].parameters, case.models[name].frames
             if frames is not None:
                 found |= {ELSEWHERE} if frames.processor != here else set()
                 continue
