@@ -224,7 +224,7 @@ def calls_of_a_sample(seconds: float) -> int:
 
 def median_of_samples(seconds: Array) -> float:
     """The same from single times (k,) of calls one after another, k of them enough for `SAMPLES` samples."""
-    return float(np.median([part.mean() for part in np.array_split(seconds, SAMPLES)]))
+    return float(np.median([part.mean() for part in np.array_split(seconds, min(SAMPLES, len(seconds)))]))
 
 
 def growth_exponent(nodes: Array, seconds: Array) -> float:
