@@ -41,7 +41,7 @@ from .report.document import encoded, html_document
 from .report.plots import Plot, colour, draw, marker, percent_axis, time_ticks
 from .scene.result import ModelResult
 from .scene.scene import Scene, build_scene
-from .study.config import expand, geometry_of, with_mesh_size
+from .study.config import expand, with_mesh_size
 from .study.errors import InputError
 from .study.schema import Study
 from .verdict import palette
@@ -380,7 +380,7 @@ def measure(
     left_out: list[str] = []
 
     def measured(body: str, study: Study, place: str = "") -> list[Entry]:
-        mesh = mesh_from_cache(geometry_of(study), cache)
+        mesh = mesh_from_cache(study.geometry, cache)
         if not about:
             about.update(provenance(mesh))
         watch(f"measuring {body}, {len(mesh.surface_nodes)} nodes{place}")

@@ -30,7 +30,7 @@ from .measures.pushed import Answer
 from .measures.uncertainty import reference_bar
 from .scene.result import ModelResult
 from .scene.scene import Scene, build_scene
-from .study.config import geometry_of, with_mesh_size
+from .study.config import with_mesh_size
 from .study.errors import InputError
 from .study.registry import PARAMETERS, is_surface
 from .study.schema import Study
@@ -168,7 +168,7 @@ def samples_of(plan: Plan, run: Run) -> tuple[tuple[Sample, ...], tuple[Sample, 
         if case.reference is None or case.reached != case.full_load:
             continue
         found = planned[case.hash]
-        mesh = mesh_from_cache(geometry_of(found.study), plan.cache, volume=needs_volume(found.study))
+        mesh = mesh_from_cache(found.study.geometry, plan.cache, volume=needs_volume(found.study))
         step = full_load_step(case.load_factors)
         samples.append(
             Sample(

@@ -42,7 +42,6 @@ from .models import Prepared, run_model
 from .models.frames import frame_times, growth_exponent
 from .scene.result import ModelResult
 from .scene.scene import Scene, build_scene
-from .study.config import geometry_of
 from .study.files import merged
 from .study.schema import Anisotropy, Study
 from .verdict.formatting import plain
@@ -129,7 +128,7 @@ class Place:
     @cached_property
     def scene(self) -> Scene:
         """Its scene, with `STEPS` equal steps to the full load."""
-        return build_scene(self.study, mesh_from_cache(geometry_of(self.study), self.cache))
+        return build_scene(self.study, mesh_from_cache(self.study.geometry, self.cache))
 
     @cached_property
     def surface(self) -> Surface:

@@ -25,7 +25,7 @@ from vdmbench.measures.metrics import METRICS, VECTOR, History, evaluate_all
 from vdmbench.measures.uncertainty import REASONABLE_ORDERS, estimate_error
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.config import expand, geometry_of, load_study
+from vdmbench.study.config import expand, load_study
 from vdmbench.study.registry import REFINED
 from vdmbench.verdict.formatting import percent
 
@@ -58,7 +58,7 @@ def tried(study: str, number: int) -> dict[str, Any]:
         runs += ran_text(tomli_w.dumps(given), f"error-bars/{study}-{number}-{levels}").cases
     found = runs[0]
     reference = str(case.study.reference)
-    mesh = build_mesh(geometry_of(case))
+    mesh = build_mesh(case.geometry)
     scene = build_scene(case, mesh)
     surface = Surface(mesh.surface_points, mesh.triangles).under(
         scene.contact, scene.contact_force, weighs=bool(scene.gravity.any())

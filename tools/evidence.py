@@ -25,7 +25,7 @@ from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.store.cases import read_run
-from vdmbench.study.config import Study, expand, geometry_of, load_study
+from vdmbench.study.config import Study, expand, load_study
 from vdmbench.study.files import overridden
 from vdmbench.study.registry import FINITE_STRAIN, all_models, split
 from vdmbench.verdict.formatting import NOTHING, parameter_name, percent, quantity, short_percent
@@ -507,7 +507,7 @@ def strain_on(study: Study, size: float) -> tuple[float, float, float]:
 
     geometry = study.geometry.model_copy(update={"mesh_size": size * study.geometry.mesh_size})
     study = study.model_copy(update={"geometry": geometry})
-    scene = build_scene(study, build_mesh(geometry_of(study)))
+    scene = build_scene(study, build_mesh(study.geometry))
     set_up = Prepared(scene, "fem-linear").set_up
     assert set_up is not None, "linear elements take these scenes"
     assert isinstance(set_up.problem, LinearProblem)

@@ -16,6 +16,7 @@ import numpy as np
 import tomli_w
 
 from solver_common.arrays import Array, Index
+from tests.bodies import shaped
 from tests.vdm import vdm_shapes
 from tools.documents import ROOT, show, table
 from tools.evidence import EVIDENCE, MEASURES, RUNS, finished, kept, slashed
@@ -24,7 +25,6 @@ from vdmbench.measures.bars import reference_bar, where_reached
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.warnings import scene_warnings
 from vdmbench.store.cases import read_run
-from vdmbench.study.shapes import Geometry
 
 FORM, ELEMENTS = "bem", "fem-linear"
 ENOUGH = 0.1
@@ -65,7 +65,7 @@ def cone(columns: int = 72) -> Body:
 
 def bent_plate() -> Body:
     """100 x 60 x 18 mm bent to a quarter of a circle about y: three elements thick."""
-    box = build_mesh(Geometry("box", 0.006, {"size": (0.1, 0.06, 0.018)}), volume=False)
+    box = build_mesh(shaped("box", 0.006, {"size": (0.1, 0.06, 0.018)}), volume=False)
     x, y, z = box.surface_points.T
     radius = 0.1 / (np.pi / 2)
     turn = x / radius
@@ -75,7 +75,7 @@ def bent_plate() -> Body:
 
 def kidney() -> Body:
     """An ellipsoid of 110 x 60 x 50 mm with a dent of 14 mm at its hilum, bent towards it."""
-    ball = build_mesh(Geometry("sphere", 0.06, {"radius": 1.0}), volume=False)
+    ball = build_mesh(shaped("sphere", 0.06, {"radius": 1.0}), volume=False)
     unit = ball.surface_points / np.linalg.norm(ball.surface_points, axis=1)[:, None]
     x, y, z = (unit * (0.055, 0.03, 0.025)).T
     dent = 0.014 * np.exp(-((x / 0.02) ** 2) - (z / 0.02) ** 2) * (unit[:, 1] > 0) * unit[:, 1]
@@ -85,7 +85,7 @@ def kidney() -> Body:
 def squeezed(surface: Path | None) -> Body:
     """A liver, or the procedural organ, at 40 per cent of its height, 160 mm long."""
     if surface is None:
-        mesh = build_mesh(Geometry("organ", 0.008, {"size": (0.2,)}), volume=False)
+        mesh = build_mesh(shaped("organ", 0.008, {"size": 0.2}), volume=False)
         points, triangles = mesh.surface_points, mesh.triangles
     else:
         read = meshio.read(surface)

@@ -14,14 +14,13 @@ from solver_common.arrays import Array, Index
 
 from ..study.errors import MeshError
 from ..study.shapes import (
-    DISTORTIONS,
-    FILE,
-    SHAPES,
+    FileBody,
     Geometry,
-    area_and_volume,
+    Shape,
+    Solid,
+    SphereImage,
     check_mesh_size,
     check_node_budget,
-    extents,
 )
 from .imported import centred, imported_surface, imported_tetrahedra, named, placed
 from .mesh import Mesh
@@ -62,50 +61,55 @@ def build_mesh(geometry: Geometry, *, volume: bool = True) -> Mesh:
     Raises MeshError, in one sentence, for a file, a mesh size or a mesh that cannot be used.
     """
     started = time.perf_counter()
-    if geometry.shape == FILE:
+    if isinstance(geometry, FileBody):
         with named(geometry):
             build = _tetrahedra_of_file if geometry.has_own_tetrahedra else _fill_surface_of_file
             mesh = build(geometry, volume)
     else:
-        check_mesh_size(geometry.mesh_size, min(extents(geometry)))
-        area, inside = area_and_volume(geometry)
+        assert isinstance(geometry, Shape)
+        check_mesh_size(geometry.mesh_size, min(geometry.extents()))
+        area, inside = geometry.area_and_volume()
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size)
-        mesh = _solid(geometry, volume) if SHAPES[geometry.shape].add else _of_sphere(geometry, volume)
-    given = {name: geometry.number(name) for name in DISTORTIONS if name in geometry.parameters}
-    if given:
+        mesh = _of_sphere(geometry, volume) if isinstance(geometry, SphereImage) else _solid(geometry, volume)
+    if geometry.slivers is not None or geometry.perturbation is not None:
         from .distort import distorted  # SciPy is slow to load
 
         mesh = distorted(
             mesh,
-            slivers=given.get("slivers"),
-            perturbation=given.get("perturbation"),
-            seed=int(given.get("seed", 0)),
+            slivers=geometry.slivers,
+            perturbation=geometry.perturbation,
+            seed=geometry.seed or 0,
         )
     return replace(mesh, quality={**mesh.quality, "seconds": time.perf_counter() - started})
 
 
-def _solid(geometry: Geometry, volume: bool) -> Mesh:
-    unit = _unit(max(extents(geometry)))
-    return _mesh_with_gmsh(lambda: _add_solid(geometry, unit), geometry.mesh_size, unit, volume=volume)
+def _solid(geometry: Shape, volume: bool) -> Mesh:
+    assert isinstance(geometry, Solid)
+    unit = _unit(max(geometry.extents()))
+
+    def add() -> None:
+        """With exact surfaces (OpenCASCADE), centred on the origin."""
+        geometry.add(gmsh.model.occ, unit)
+        gmsh.model.occ.synchronize()
+
+    return _mesh_with_gmsh(add, geometry.mesh_size, unit, volume=volume)
 
 
-def _of_sphere(geometry: Geometry, volume: bool) -> Mesh:
+def _of_sphere(geometry: SphereImage, volume: bool) -> Mesh:
     from .remesh import unit_sphere  # VTK is slow to load: only where a surface is made anew
 
-    of_sphere = SHAPES[geometry.shape].of_sphere
-    assert of_sphere is not None
     sphere, triangles = unit_sphere(_SUBDIVISIONS)
-    points = centred(of_sphere(sphere), max(extents(geometry)))
+    points = centred(geometry.of_sphere(sphere), max(geometry.extents()))
     return replace(fill_surface(points, triangles, geometry.mesh_size, volume), moved=None)
 
 
-def _fill_surface_of_file(geometry: Geometry, volume: bool) -> Mesh:
+def _fill_surface_of_file(geometry: FileBody, volume: bool) -> Mesh:
     given = imported_surface(geometry, volume=volume)
-    mesh = fill_surface(given.points, given.triangles, geometry.mesh_size, volume)
+    mesh = fill_surface(given.points, given.triangles, geometry.mesh_size or 0.0, volume)
     return placed(replace(mesh, quality={**mesh.quality, **given.repairs}), given.centre)
 
 
-def _tetrahedra_of_file(geometry: Geometry, volume: bool) -> Mesh:
+def _tetrahedra_of_file(geometry: FileBody, volume: bool) -> Mesh:
     mesh = imported_tetrahedra(geometry)
     return mesh if volume else surface_only(mesh)
 
@@ -187,15 +191,6 @@ def _mesh_with_gmsh(add_model: Callable[[], None], mesh_size: float, unit: float
 def _elements(kind: int, width: int) -> Index:
     _, nodes = gmsh.model.mesh.getElementsByType(kind)
     return np.asarray(nodes, dtype=np.int64).reshape(-1, width)
-
-
-def _add_solid(geometry: Geometry, unit: float) -> None:
-    """Add a shape with exact surfaces (OpenCASCADE), centred on the origin, in lengths of `unit` [m]."""
-    add = SHAPES[geometry.shape].add
-    assert add is not None
-    occ = gmsh.model.occ
-    add(occ, geometry.scaled(1.0 / unit))
-    occ.synchronize()
 
 
 def _add_surface(points: Array, triangles: Index) -> None:

@@ -15,7 +15,7 @@ from solver_common.arrays import Array, Index
 from ..study.errors import MeshError
 from ..study.shapes import (
     MAX_NODES,
-    Geometry,
+    FileBody,
     check_extent,
     check_mesh_size,
     check_node_budget,
@@ -45,17 +45,18 @@ class ImportedSurface:
     repairs: dict[str, float]
 
 
-def imported_surface(geometry: Geometry, *, volume: bool) -> ImportedSurface:
+def imported_surface(geometry: FileBody, *, volume: bool) -> ImportedSurface:
     """The surface of a file, fit to be meshed as asked. Raises MeshError."""
     check_readable(geometry.path)
-    clean = _clean(geometry.path, file_digest(geometry.path), str(geometry.parameters.get("repair", "")))
+    clean = _clean(geometry.path, file_digest(geometry.path), geometry.repair or "")
     assert isinstance(clean, CleanSurface)
     points, centre, scale = _in_metres(clean.points, geometry)
-    check_mesh_size(geometry.mesh_size, float(np.ptp(points, axis=0).min()))
+    size = geometry.mesh_size or 0.0
+    check_mesh_size(size, float(np.ptp(points, axis=0).min()))
     area = float(facet_areas(points, clean.triangles).sum())
     inside = enclosed_volume(points, clean.triangles)
     remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
-    check_node_budget(area, inside if volume else 0.0, geometry.mesh_size, remedy)
+    check_node_budget(area, inside if volume else 0.0, size, remedy)
     _check_cavities(geometry, points, clean.triangles)
     repairs = {
         "scale": scale,
@@ -76,7 +77,7 @@ def _clean(path: Path, digest: str, repair: str) -> CleanSurface | CleanTetrahed
     return clean_of(path, repair)
 
 
-def imported_tetrahedra(geometry: Geometry) -> Mesh:
+def imported_tetrahedra(geometry: FileBody) -> Mesh:
     """The tetrahedra of a file, used as they are. Raises MeshError."""
     check_readable(geometry.path)
     clean = _clean(geometry.path, file_digest(geometry.path), "")
@@ -94,13 +95,13 @@ def imported_tetrahedra(geometry: Geometry) -> Mesh:
     return placed(mesh, centre)
 
 
-def _check_cavities(geometry: Geometry, points: Array, triangles: Index) -> None:
+def _check_cavities(geometry: FileBody, points: Array, triangles: Index) -> None:
     """Refuses cavities that the geometry does not tell, and told ones that are not there."""
     shell = shells(points, triangles)
-    if shell.any() and "cavities" not in geometry.parameters:
+    if shell.any() and geometry.cavities is None:
         remedy = ', or say what fills those inside: cavities = "empty" or "fluid"'
         raise separate_pieces(points, triangles, shell, remedy)
-    if not shell.any() and "cavities" in geometry.parameters:
+    if not shell.any() and geometry.cavities is not None:
         raise MeshError("has no cavity, its surface is one closed piece; leave cavities out", "cavities")
 
 
@@ -111,7 +112,7 @@ def placed(mesh: Mesh, centre: Array) -> Mesh:
 
 
 @contextmanager
-def named(geometry: Geometry) -> Iterator[None]:
+def named(geometry: FileBody) -> Iterator[None]:
     """Errors begin with the name of the file."""
     try:
         yield
@@ -125,11 +126,10 @@ def centred(points: Array, size: float) -> Array:
     return (points - 0.5 * (low + high)) * (size / float((high - low).max()))
 
 
-def _in_metres(points: Array, geometry: Geometry) -> tuple[Array, Array, float]:
+def _in_metres(points: Array, geometry: FileBody) -> tuple[Array, Array, float]:
     """Points of a file about the centre of their bounding box [m], that centre (3,) [m], and metres per unit."""
     extent = float(np.ptp(points, axis=0).max())
-    size = geometry.number("size") if "size" in geometry.parameters else None
-    factor = geometry.number("scale") if "scale" in geometry.parameters else 1.0
+    size, factor = geometry.size, 1.0 if geometry.scale is None else geometry.scale
     if size is None:
         size = factor * extent
         check_extent(size, "give `size`, its largest extent in metres, or `scale`, the file's unit in metres")

@@ -14,7 +14,8 @@ from ..body.mesh import Mesh
 from ..body.surface_measures import Surface, facet_area_vectors
 from ..scene.regions import in_mesh_coordinates, select
 from ..scene.result import ModelResult
-from ..study.schema import Constraint, Study
+from ..study.loads import Constraint
+from ..study.schema import Study
 
 _BEYOND = 1e-9  # of the largest depth: as far beyond it is rounding
 

@@ -13,7 +13,8 @@ from solver_common.arrays import Array
 from ..body.surface_measures import facet_area_vectors
 from ..measures.case import CaseResult
 from ..scene.result import REST_DISTANCE
-from ..study.schema import Constraint, Inclusion
+from ..study.loads import Constraint
+from ..study.schema import Inclusion
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, plural, quantity, scale_of, short_percent, span
 from ..verdict.loading import kind_of, name_of

@@ -14,8 +14,9 @@ from solver_common.quadrature import facet_quadrature
 from ..body.mesh import Mesh
 from ..body.surface_measures import facet_area_vectors
 from ..study.errors import InputError, Loc
-from ..study.loads import PROFILES, Pushed
-from ..study.schema import Constraint, Region
+from ..study.loads import PROFILES, Constraint
+from ..study.loads import Indenter as IndenterTable
+from ..study.schema import Region
 from .regions import profile_coordinate, profile_slope
 
 if TYPE_CHECKING:
@@ -145,7 +146,7 @@ class PlacedIndenter:
     depth: float
 
 
-def place_indenter(pushed: Pushed, mesh: Mesh, place: Loc) -> PlacedIndenter:
+def place_indenter(facets: Mask, pushed: IndenterTable, mesh: Mesh, place: Loc) -> PlacedIndenter:
     """The indenter of a constraint, its axis through the middle of the region's area.
 
     Raises
@@ -156,10 +157,10 @@ def place_indenter(pushed: Pushed, mesh: Mesh, place: Loc) -> PlacedIndenter:
     from fem_reference.indenter import Capsule, FlatPunch, Indenter, Sphere
     from solver_common.solution import SolverError
 
-    triangles = mesh.triangles[pushed.facets]
+    triangles = mesh.triangles[facets]
     vectors = facet_area_vectors(mesh.surface_points, triangles)
     areas = np.linalg.norm(vectors, axis=1)
-    direction = -vectors.sum(axis=0) if pushed.direction is None else np.array(pushed.direction)
+    direction = -vectors.sum(axis=0) if pushed.push is None else np.array(pushed.push)
     if np.linalg.norm(direction) < _LEAST * areas.sum():
         raise SceneError(
             "the region of the indenter faces every way; give push, or a region on one side", place
@@ -167,17 +168,15 @@ def place_indenter(pushed: Pushed, mesh: Mesh, place: Loc) -> PlacedIndenter:
     middle = areas @ mesh.surface_points[triangles].mean(axis=1) / areas.sum()
     try:
         if pushed.shape == "capsule":
-            x, y, z = pushed.along or (0.0, 0.0, 0.0)
-            shape: Capsule | FlatPunch | Sphere = Capsule(pushed.radius, pushed.length, (x, y, z))
+            along = pushed.along or (0.0, 0.0, 0.0)
+            shape: Capsule | FlatPunch | Sphere = Capsule(pushed.radius, pushed.length or 0.0, along)
         else:
             shape = (FlatPunch if pushed.shape == "flat-punch" else Sphere)(pushed.radius)
         there = Indenter(shape, middle, direction)
         gap = there.gap(mesh.surface_points[np.unique(triangles)]).min()
         if not np.isfinite(gap):
             raise SceneError("the indenter passes by all nodes of its region; take a finer mesh", place)
-        return PlacedIndenter(
-            Indenter(shape, middle + gap * there.axis, direction), pushed.facets, pushed.depth
-        )
+        return PlacedIndenter(Indenter(shape, middle + gap * there.axis, direction), facets, pushed.depth)
     except SolverError as error:
         raise SceneError(f"{error.status.message}; {error.status.remedy}", place) from None
 

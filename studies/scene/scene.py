@@ -14,7 +14,7 @@ from solver_common.quadrature import facet_quadrature
 from ..body.mesh import Mesh, read_only
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
 from ..study.errors import Loc
-from ..study.loads import KINDS, Springs
+from ..study.loads import Springs
 from ..study.registry import EXTRAS
 from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
@@ -255,11 +255,11 @@ class _Acting:
 
     def add(self, on: PlacedConstraint) -> None:
         """One more of them."""
-        kind = KINDS[on.constraint.kind]
-        acts = kind.act(on.constraint, on)
-        if acts.needs_an_extra and kind.extra(on.constraint) not in EXTRAS:
+        kind = on.constraint
+        acts = kind.act(on)
+        if acts.needs_an_extra and kind.extra not in EXTRAS:
             raise SceneError(
-                f"the kind {kind.name!r} has to declare as `extra` what its models take", on.place
+                f"the kind {kind.kind!r} has to declare as `extra` what its models take", on.place
             )
         if acts.displacement is not None:
             self._move(on, acts.displacement)
@@ -273,7 +273,7 @@ class _Acting:
         if acts.springs is not None:
             self.springs.append(acts.springs)
         if acts.pushed is not None:
-            self.indenter = place_indenter(acts.pushed, on.mesh, on.place)
+            self.indenter = place_indenter(*acts.pushed, on.mesh, on.place)
 
     def _move(self, on: PlacedConstraint, displacement: Array) -> None:
         moved = np.broadcast_to(displacement, self.prescribed.shape)
@@ -301,11 +301,11 @@ def _require_nodes(name: str, study: Study, mesh: Mesh, masks: Mapping[str, Mask
 def _check_apart(study: Study, masks: Mapping[str, Mask], acting: _Acting) -> None:
     """Refuses what moves, loads or supports a part of the body that is held otherwise."""
     for number, part in enumerate(study.constraints):
-        kind, mask = KINDS[part.kind], masks[part.region]
-        if kind.holds:  # what another one holds at rest
-            covered = int((mask & acting.fixed).sum()) if kind.loads else 0
+        mask = masks[part.region]
+        if part.holds:  # what another one holds at rest
+            covered = int((mask & acting.fixed).sum()) if part.loads else 0
             told = f"moves {covered} nodes that are fixed"
-        elif kind.supports:
+        elif part.supports:
             held = mask & (acting.fixed | acting.constrained)
             covered = int(held[acting.triangles].all(axis=1).sum())
             told = f"has {covered} facets that are fixed or constrained"

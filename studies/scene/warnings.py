@@ -11,8 +11,8 @@ from solver_common.arrays import Array, Index, Mask
 
 from ..body.surface_measures import facet_area_vectors
 from ..study.errors import Finding
-from ..study.loads import KINDS
-from ..study.schema import Constraint, Tissue
+from ..study.loads import Constraint
+from ..study.schema import Tissue
 
 # shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing
 MOST_MOVED, MOST_DRIFT = 0.10, 0.05
@@ -38,7 +38,7 @@ def scene_warnings(
     largest_factor : largest load factor
     """
     vectors = facet_area_vectors(points, triangles)
-    held = [masks[part.region] for part in constraints if KINDS[part.kind].holds]
+    held = [masks[part.region] for part in constraints if part.holds]
     support = np.logical_or.reduce([np.zeros(len(points), dtype=bool), *held])
     on_support = support[triangles].all(axis=1)
     apart = _apart(support, triangles)
@@ -48,7 +48,7 @@ def scene_warnings(
         yield ("tissue", "youngs_modulus"), told
     for place, part in enumerate(constraints):
         mask, loc = masks[part.region], ("constraints", place, "region")
-        if KINDS[part.kind].holds:
+        if part.holds:
             if mask.any() and not (on_support & mask[triangles].any(axis=1)).any():
                 yield loc, _lone(int(mask.sum()))
             elif count := int((mask & apart).sum()):

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
 from pydantic import ValidationError
-from pydantic_core import ErrorDetails
 
 from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_twice, unknown
-from .fields import field_at, keys_of, table_at
+from .fields import unit_of
 from .kinds import Table, given, safe_name
-from .loads import KINDS
 from .measured import Measured, same_load
 from .registry import BROKEN, DISPLACEMENT_ELEMENTS, RENAMED, find, is_surface, model_names, reads, split
 from .schema import (
@@ -23,33 +20,20 @@ from .schema import (
     MOST_STEPS,
     NEO_HOOKEAN,
     Box,
-    Constraint,
-    Geometry,
     Region,
     Study,
 )
 from .shapes import (
-    DISTORTIONS,
     LARGEST_EXTENT,
-    SHAPES,
     SMALLEST_EXTENT,
     SURFACE_SUFFIXES,
     VOLUME_SUFFIXES,
+    FileBody,
+    Geometry,
+    Shape,
     check_mesh_size,
-    extent_key,
-    extents,
 )
-from .shapes import Geometry as GeometrySpec
-from .units import shown, type_name
-
-SHAPE_KEYS: dict[str, tuple[set[str], set[str]]] = {  # shape -> keys that it needs, keys that it may have
-    **{
-        shape.name: ({"mesh_size", *shape.needed}, set(shape.parameters) - shape.needed)
-        for shape in SHAPES.values()
-    },
-    "file": ({"path"}, {"mesh_size", "size", "scale", "coordinates", "repair", "cavities"}),
-}
-_KIND_KEYS = {kind.name: set(kind.keys) for kind in KINDS.values()}
+from .units import shown
 
 
 def check(study: Study) -> Iterator[Finding]:
@@ -65,7 +49,7 @@ def check(study: Study) -> Iterator[Finding]:
     if count > MOST_STEPS:
         text = f"makes a load history of {count:,} steps, more than the {MOST_STEPS:,} allowed; take fewer"
         yield ("load", "steps"), text
-    yield from _check_loads(study, None if of_body else _largest_extent(study.geometry))
+    yield from _check_loads(study, None if of_body else max(_sizes(study.geometry), default=None))
     yield from _check_acceptance(study)
     yield from _check_measured(study)
 
@@ -102,8 +86,7 @@ def _check_models(study: Study) -> Iterator[Finding]:
 
 def holds_nothing(study: Study) -> bool:
     """Whether no constraint holds or supports a part of the body, so that elements have no answer."""
-    kinds = [KINDS[constraint.kind] for constraint in study.constraints]
-    return not any(kind.holds or kind.supports for kind in kinds)
+    return not any(part.holds or part.supports for part in study.constraints)
 
 
 def _check_reference(study: Study) -> Iterator[Finding]:
@@ -184,59 +167,35 @@ def _check_law(study: Study) -> Iterator[Finding]:
 
 
 def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
-    needed, allowed = SHAPE_KEYS[geometry.shape]
-    present, name = given(geometry) - {"shape"}, _a(geometry.shape)
-    suffix = geometry.path.suffix.lower() if geometry.path is not None else ""
-    if suffix and suffix not in VOLUME_SUFFIXES:
-        needed, allowed = needed | {"mesh_size"}, allowed - {"mesh_size"}
-    for key in sorted(needed - present):
-        yield ("geometry", key), f"is missing; {name} needs {listed(needed)}"
-    for key in sorted(present - needed - allowed - set(DISTORTIONS)):
-        yield ("geometry", key), f"{name} has no {key}; it takes {listed(needed | allowed)}"
-    if "seed" in present and not present & {"slivers", "perturbation"}:
+    if geometry.seed is not None and geometry.slivers is None and geometry.perturbation is None:
         yield ("geometry", "seed"), "decides nothing without slivers or perturbation; give one of them"
-    if geometry.path is not None:
-        yield from _check_suffix(geometry.path.name, suffix)
-    if {"size", "scale"} <= present and geometry.shape == "file":
-        yield ("geometry", "scale"), "give size or scale, not both"
-    if "repair" in present and suffix in VOLUME_SUFFIXES:
-        yield ("geometry", "repair"), "is for surfaces; a file with tetrahedra is used as it is"
-    mistaken = list(_check_counts(geometry))
-    yield from mistaken
-    if not mistaken and needed - present <= {"mesh_size"}:
-        yield from _check_extent(geometry)
-
-
-def _check_counts(geometry: Geometry) -> Iterator[Finding]:
-    """Keys that one shape takes as a number and another as a list."""
-    shape = SHAPES.get(geometry.shape)
-    counts = {name: about.count for name, about in shape.parameters.items()} if shape else {"size": 1}
-    for key, count in counts.items():
-        value = getattr(geometry, key)
-        if value is not None and isinstance(value, tuple) != (count > 1):
-            wanted = f"{count} lengths" if count > 1 else "one length"
-            text = shape.parameters[key].help if shape else "its largest extent"
-            yield ("geometry", key), f"{_a(geometry.shape)} takes {wanted}, {text}"
-
-
-def _check_extent(geometry: Geometry) -> Iterator[Finding]:
-    if geometry.shape == "file" and geometry.size is None:
-        return  # its extent is known once it is read
-    spec = geometry_spec(geometry)
-    sizes = (geometry.size,) if isinstance(geometry.size, float) else extents(spec)
-    largest = max(sizes)
-    key = "size" if geometry.shape == "file" else extent_key(spec)
-    if not SMALLEST_EXTENT <= largest <= LARGEST_EXTENT:
-        yield (
-            ("geometry", key),
-            f"the body would be {largest:g} m across, outside {SMALLEST_EXTENT:g} to {LARGEST_EXTENT:g} m: "
-            'a mixed-up unit? A bare number is in metres; write "50 mm"',
-        )
-    elif geometry.mesh_size is not None:
-        try:
+    if isinstance(geometry, FileBody):
+        yield from _check_suffix(geometry.path.name, geometry.suffix)
+        if geometry.mesh_size is None and not geometry.has_own_tetrahedra:
+            yield ("geometry", "mesh_size"), "is missing; a file needs mesh_size and path"
+        if geometry.size is not None and geometry.scale is not None:
+            yield ("geometry", "scale"), "give size or scale, not both"
+        if geometry.repair is not None and geometry.has_own_tetrahedra:
+            yield ("geometry", "repair"), "is for surfaces; a file with tetrahedra is used as it is"
+    try:
+        sizes, key = _sizes(geometry), "size" if isinstance(geometry, FileBody) else geometry.extent_key()
+        if sizes and not SMALLEST_EXTENT <= max(sizes) <= LARGEST_EXTENT:
+            raise MeshError(
+                f"the body would be {max(sizes):g} m across, outside {SMALLEST_EXTENT:g} to {LARGEST_EXTENT:g} m: "
+                'a mixed-up unit? A bare number is in metres; write "50 mm"',
+                key,
+            )
+        if sizes and geometry.mesh_size is not None:
             check_mesh_size(geometry.mesh_size, min(sizes))
-        except MeshError as error:
-            yield ("geometry", "mesh_size"), str(error)
+    except MeshError as error:
+        yield ("geometry", error.key), str(error)
+
+
+def _sizes(geometry: Geometry) -> tuple[float, ...]:
+    """The extents of a body as far as the keys tell them [m]."""
+    if isinstance(geometry, Shape):
+        return geometry.extents()
+    return (geometry.size,) if geometry.size is not None else ()
 
 
 def _check_suffix(name: str, suffix: str) -> Iterator[Finding]:
@@ -251,38 +210,7 @@ def _check_suffix(name: str, suffix: str) -> Iterator[Finding]:
         )
 
 
-def geometry_spec(geometry: Geometry) -> GeometrySpec:
-    """The geometry as the mesher takes it; `mesh_size` 0 where a file with tetrahedra has none."""
-    keys = set().union(*SHAPE_KEYS[geometry.shape], DISTORTIONS) - {"mesh_size", "coordinates"}
-    present = {key: getattr(geometry, key) for key in sorted(keys & geometry.model_fields_set)}
-    parameters = {key: value for key, value in present.items() if value is not None or key not in DISTORTIONS}
-    if geometry.path is not None:
-        parameters["path"] = str(geometry.path)
-    return GeometrySpec(geometry.shape, geometry.mesh_size or 0.0, parameters)
-
-
-def _largest_extent(geometry: Geometry) -> float | None:
-    """The body's largest extent where the keys tell it."""
-    if geometry.shape == "file":
-        return geometry.size if isinstance(geometry.size, float) else None
-    return max(extents(geometry_spec(geometry)))
-
-
-def _a(kind: str) -> str:
-    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
-
-
 # --- constraints and loads ---
-
-
-def fits_kind(data: Mapping[str, Any], loc: Loc) -> bool:
-    """Whether a key's place in `data`, as parsed, is in no constraint, or in one of a kind that takes the key."""
-    if loc[0] != "constraints":
-        return True
-    entry = data["constraints"][loc[1]]
-    kind = entry.get("kind") if isinstance(entry, Mapping) else None
-    others = set[str]().union(*(keys for name, keys in _KIND_KEYS.items() if name != kind))
-    return loc[2] not in others - _KIND_KEYS.get(str(kind), others)
 
 
 def _check_constraints(study: Study) -> Iterator[Finding]:
@@ -291,29 +219,11 @@ def _check_constraints(study: Study) -> Iterator[Finding]:
         loc = ("constraints", place)
         if constraint.region not in study.regions:
             yield (*loc, "region"), unknown(constraint.region, list(study.regions), "region")
-        yield from _check_kind(constraint, loc, study.regions.get(constraint.region))
+        region = study.regions.get(constraint.region)
+        for inside, text in constraint.faults(frozenset(given(region) if region is not None else ())):
+            yield (*loc, *inside), text
     for place in [place for place, part in enumerate(study.constraints) if part.kind == "indenter"][1:]:
         yield ("constraints", place, "kind"), "is a second indenter; a study has one, so make it a contact"
-
-
-def _check_kind(constraint: Constraint, loc: Loc, region: Region | None) -> Iterator[Finding]:
-    kind, present = KINDS[constraint.kind], given(constraint) - {"kind", "region", "name"}
-    allowed = _KIND_KEYS[constraint.kind]
-    for key in sorted(present - allowed):
-        takes = f"it takes {listed(allowed)}" if allowed else "it takes a region only"
-        yield (*loc, key), f"{_a(constraint.kind)} constraint has no {key}; {takes}"
-    loads = [name for name in kind.loads if name in present]
-    if len(loads) > 1:
-        yield loc, f"has both {' and '.join(loads)}; keep one"
-    elif not loads and len(kind.loads) > 1:
-        yield loc, f"a {kind.name} needs either {' or '.join(kind.loads)}"
-    needed = {name for name, about in kind.keys.items() if about.needed}
-    needed |= set(kind.loads) if len(kind.loads) == 1 else set()
-    for name in sorted(needed - present):
-        yield (*loc, name), f"is missing; give {kind.keys[name].example or 'it'}"
-    of_region = frozenset(given(region)) if region is not None else frozenset[str]()
-    for key, text in kind.check(constraint, of_region).items():
-        yield (*loc, key), text
 
 
 def _check_loads(study: Study, extent: float | None) -> Iterator[Finding]:
@@ -321,11 +231,11 @@ def _check_loads(study: Study, extent: float | None) -> Iterator[Finding]:
     modulus = study.tissue.youngs_modulus
     factor = max(map(abs, study.load.factors))
     for place, constraint in enumerate(study.constraints):
-        for name, key in KINDS[constraint.kind].keys.items():
+        for name in constraint.loads:
             value = getattr(constraint, name)
-            if key.is_load and value is not None:
+            if value is not None:
                 size = factor * math.hypot(*(value if isinstance(value, tuple) else (value,)))
-                if told := _mixed_up(size, key.unit, modulus, extent):
+                if told := _mixed_up(size, unit_of(constraint, name), modulus, extent):
                     yield ("constraints", place, name), told
     if study.geometry.cavities == "fluid" and study.gravity is not None:
         yield (
@@ -619,17 +529,6 @@ def _check_factors(study: Study, table: Measured, place: int) -> Iterator[Findin
 # --- One pass over the data of a study: a Study, or every problem that it has, in plain words ---
 
 
-_WANTED = {  # kind of pydantic error -> what the value must be
-    "model_type": "a table",
-    "dict_type": "a table",
-    "tuple_type": "a list",
-    "string_type": "a text",
-    "int_type": "a whole number",
-    "bool_type": "true or false",
-    "int_from_float": "a whole number",
-}
-
-
 def validate(data: Mapping[str, Any], source: Source) -> tuple[Study | None, list[Finding]]:
     """The study in `data`, as parsed from TOML, or None and what is wrong: its keys, or what they say together.
 
@@ -638,32 +537,10 @@ def validate(data: Mapping[str, Any], source: Source) -> tuple[Study | None, lis
     try:
         study = Study.model_validate(data, context=source)
     except ValidationError as error:
-        faults = sorted(error.errors(include_url=False), key=lambda details: source.line(_place(details)))
-        return None, [_finding(details) for details in faults[: MOST_TOLD + 1]]
+        found: list[Finding] = [
+            (details["loc"], details["msg"]) for details in error.errors(include_url=False)
+        ]
+        return None, sorted(found, key=lambda finding: source.line(finding[0]))[: MOST_TOLD + 1]
     findings = list(islice(check(study), MOST_TOLD + 1))
     study._source = source
     return (None if findings else study), findings
-
-
-def _place(details: ErrorDetails) -> Loc:
-    return tuple(part for part in details["loc"] if part not in ("<name>", "<table>"))
-
-
-def _finding(details: ErrorDetails) -> Finding:
-    loc = _place(details)
-    kind, value = details["type"], details.get("input")
-    if kind == "value_error":
-        return loc, str(details["ctx"]["error"])
-    if kind == "missing":
-        field = field_at(loc)
-        return loc, f"is missing: {field.description}" if field else "is missing"
-    if kind == "extra_forbidden":
-        return loc, unknown(str(loc[-1]), list(keys_of(table_at(loc[:-1]))), "key")
-    if kind == "literal_error":
-        options = re.findall(r"'([^']*)'", details["ctx"]["expected"])
-        if isinstance(value, str):
-            return loc, unknown(value, options, "choice")
-        return loc, f"must be one of {', '.join(options)}, not {type_name(value)}"
-    if kind in _WANTED:
-        return loc, f"must be {_WANTED[kind]}, not {type_name(value)}"
-    return loc, re.sub(r"^(Input|String|Tuple|Dictionary|Value) should", "must", details["msg"])

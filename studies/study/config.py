@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .checks import check_measured_cases, fits_kind, geometry_spec, holds_nothing, validate
+from .checks import check_measured_cases, holds_nothing, validate
 from .errors import Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown
 from .fields import targets, value_at
 from .files import changed_keys, merged
@@ -17,7 +17,6 @@ from .kinds import MAX_NAME, Enters, is_safe_name
 from .loads import LOAD_KEYS
 from .registry import FINITE_STRAIN, split
 from .schema import Study
-from .shapes import Geometry as GeometrySpec
 from .sweep import (
     OWN_KEYS,
     Axis,
@@ -159,7 +158,7 @@ def geometry_error(study: Study, error: MeshError) -> StudyError:
 def case_inputs(study: Study) -> dict[str, Any]:
     """The part of `resolved` that decides a case's numbers: all but what the schema marks `Enters.NOTHING`.
 
-    A geometry file is named by its path: the key of its mesh has its content (`geometry_spec.geometry_key`).
+    A geometry file is named by its path: the key of its mesh has its content (`shapes.geometry_key`).
     """
     return study.without(resolved(study), Enters.NOTHING)
 
@@ -184,7 +183,7 @@ def with_mesh_size(study: Study, factor: float) -> Study | None:
     """The study on meshes of `factor` times its size; None where it sweeps that, or has tetrahedra of its own."""
     data, size = _plain(study), study.geometry.mesh_size
     swept = "geometry.mesh_size" in {axis.key for axis in read_axes(data)[0]}
-    if size is None or swept or geometry_of(study).has_own_tetrahedra:
+    if size is None or swept or study.geometry.has_own_tetrahedra:
         return None
     finer = Study.model_validate(substituted(data, ("geometry", "mesh_size"), size * factor))
     finer._source = study._source
@@ -208,11 +207,6 @@ def raised(study: Study, along: str, load: float) -> Study:
     return Study.model_validate({**data, "load": {**data["load"], "factors": (1.0,)}})
 
 
-def geometry_of(study: Study) -> GeometrySpec:
-    """The study's geometry as the mesher takes it."""
-    return geometry_spec(study.geometry)
-
-
 # --- loads ---
 
 
@@ -223,7 +217,6 @@ def _loads(data: Mapping[str, Any]) -> dict[str, Loc]:
         for key, target in targets(data).items()
         if target.si is not None
         and (target.loc[0] == "gravity" or (target.loc[0] == "constraints" and target.loc[2] in LOAD_KEYS))
-        and fits_kind(data, target.loc)
     }
 
 

@@ -13,18 +13,13 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
 from .errors import Loc
-from .kinds import SI, Table
+from .kinds import SI, OneOf, Table
 from .schema import MOST_NAMES, Inputs, Region, Study, StudyInfo, Sweep, model_table
 from .units import DIMENSIONS
 
 _NEVER_SWEPT = {"study", "sweep", "inputs", "limits", "calibration", "acceptance", "measured"}
 # tables whose numbers decide how much is computed, or the body itself
 NEVER_AN_INPUT = {*_NEVER_SWEPT, "geometry", "load", "uncertainty"}
-
-
-def keys_of(table: type[Table]) -> dict[str, FieldInfo]:
-    """The fields of a table by the keys that a file uses."""
-    return {field.alias or name: field for name, field in table.model_fields.items()}
 
 
 def unwrapped(annotation: Any) -> tuple[Any, SI | None]:
@@ -61,39 +56,18 @@ def type_of_field(field: FieldInfo) -> tuple[Any, SI | None]:
     return annotation, next((item for item in field.metadata if isinstance(item, SI)), si)
 
 
-def field_at(loc: Loc) -> FieldInfo | None:
-    """The field that a place in a study belongs to, None for an item of a list or a table of tables.
-
-    Raises
-    ------
-    LookupError
-        no table has such a place.
-    """
-    return _walk(loc)[0]
+def unit_of(table: Table, name: str) -> str:
+    """SI unit of a field, "" of one that is no quantity."""
+    _, si = type_of_field(type(table).model_fields[name])
+    return si.unit if si else ""
 
 
-def table_at(loc: Loc) -> type[Table]:
-    """The type of the table that is at a place in a study. Raises LookupError where there is none."""
-    annotation, _ = unwrapped(_walk(loc)[1])
-    if not _is_table(annotation):
-        raise LookupError(loc)
-    table: type[Table] = annotation
-    return table
-
-
-def _walk(loc: Loc) -> tuple[FieldInfo | None, Any]:
-    annotation: Any = Study
-    field = None
-    for part in loc:
-        annotation, _ = unwrapped(annotation)
-        if _is_table(annotation):
-            field = keys_of(annotation)[str(part)]
-            annotation = field.annotation
-        elif get_origin(annotation) in (dict, tuple):
-            field, annotation = None, item_type(annotation, loc)
-        else:
-            raise LookupError(loc)
-    return field, annotation
+def _tables(table: type[Table], value: Any = None) -> list[type[Table]]:
+    """Of a table of several kinds the one that a value is, all where it says none; any other table."""
+    if not issubclass(table, OneOf):
+        return [table]
+    word = value.get(table.by) if isinstance(value, Mapping) else None
+    return [table.kinds[word]] if word in table.kinds else list(table.kinds.values())
 
 
 # --- what a sweep can vary ---
@@ -119,7 +93,7 @@ def targets(data: Mapping[str, Any]) -> dict[str, Target]:
     components of a vector by their index (`gravity.acceleration.2`). Each model of the study can have a table.
     """
     found: dict[str, Target] = {}
-    for name, field in keys_of(Study).items():
+    for name, field in Study.keys().items():
         if name not in _NEVER_SWEPT:
             value = _of_each_model(data) if name == "models" else data.get(name)
             for key, target in _targets(*type_of_field(field), name, (name,), value):
@@ -174,9 +148,10 @@ def _targets(annotation: Any, si: SI | None, key: str, loc: Loc, value: Any) -> 
         if value is None and len(loc) > 1:
             return  # an optional table inside another, which a value of a sweep cannot complete
         inside = value if isinstance(value, dict) else {}
-        for name, field in keys_of(annotation).items():
+        fields = {name: field for table in _tables(annotation, value) for name, field in table.keys().items()}
+        for name, field in fields.items():
             yield from _targets(*type_of_field(field), f"{key}.{name}", (*loc, name), inside.get(name))
-    elif origin is dict or (origin is tuple and _is_table(get_args(annotation)[0])):
+    elif origin is dict or (origin is tuple and _is_table(unwrapped(get_args(annotation)[0])[0])):
         for name, place, item in islice(_named(value), MOST_NAMES):  # more are refused
             inner, _ = unwrapped(item_type(annotation, loc))
             yield from _targets(inner, None, f"{key}.{name}", (*loc, place), item)
@@ -218,21 +193,52 @@ def field_table() -> list[FieldRow]:
 
 
 def _rows(table: type[Table], prefix: str) -> Iterator[FieldRow]:
-    for name, field in keys_of(table).items():
-        annotation, si = type_of_field(field)
+    if issubclass(table, OneOf):
+        yield from _rows_of_kinds(table, prefix)
+        return
+    for name, field in table.keys().items():
+        annotation, _ = type_of_field(field)
         origin, args = get_origin(annotation), get_args(annotation)
         if _is_table(annotation) and not (table is Region and annotation is Region):
             yield from _rows(annotation, f"{prefix}{name}.")
         elif origin is dict:
             yield from _rows(unwrapped(args[1])[0], f"{prefix}{name}.NAME.")
-        elif origin is tuple and _is_table(args[0]):
-            yield from _rows(args[0], f"{prefix}{name}[].")
+        elif origin is tuple and table is not Region and _is_table(unwrapped(args[0])[0]):
+            yield from _rows(unwrapped(args[0])[0], f"{prefix}{name}[].")
         else:
-            yield FieldRow(prefix + name, _kind(annotation, si), _default(field), field.description or "")
+            yield _row(prefix + name, field, field.description or "")
     if table is Sweep:
         yield from _axis_rows()
     if table is Inputs:
         yield from _input_rows()
+
+
+def _row(key: str, field: FieldInfo, told: str) -> FieldRow:
+    return FieldRow(key, _kind(*type_of_field(field)), _default(field), told)
+
+
+def _rows_of_kinds(table: type[OneOf], prefix: str) -> Iterator[FieldRow]:
+    """The keys of all kinds, and of each key which kinds have it."""
+    words = ", ".join(f"{word}: {(kind.__doc__ or word).strip()}" for word, kind in table.kinds.items())
+    yield FieldRow(f"{prefix}{table.by}", " | ".join(table.kinds), "required", words)
+    for name, field in table.keys().items():
+        if name != table.by:
+            yield _row(prefix + name, field, field.description or "")
+    owners: dict[str, dict[str, FieldInfo]] = {}
+    for word, kind in table.kinds.items():
+        for name, field in kind.own_keys().items():
+            owners.setdefault(name, {})[word] = field
+    for name, fields in owners.items():
+        rows = {word: _row(prefix + name, field, field.description or "") for word, field in fields.items()}
+        of_all = {row.kind: None for row in rows.values()}
+        told: dict[str, list[str]] = {}
+        for word, row in rows.items():
+            told.setdefault(row.help, []).append(word)
+        first = next(iter(rows.values()))
+        yield first._replace(
+            kind=" or ".join(sorted(of_all, key=len)),
+            help="; ".join(f"{', '.join(who)}: {text}" for text, who in told.items()),
+        )
 
 
 def _axis_rows() -> Iterator[FieldRow]:
@@ -324,14 +330,26 @@ class _OfFile(GenerateJsonSchema):
     """A file has no null and no titles, and a sweep may give what a table lacks."""
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
-        found = super().model_schema(schema)
         table = schema["cls"]
+        if issubclass(table, OneOf) and table not in table.kinds.values():
+            return self._by_kind(table)
+        found = super().model_schema(schema)
         found.pop("title", None)
         if table not in (Study, StudyInfo):
             found.pop("required", None)
         if table in _FURTHER:
             found["additionalProperties"] = _FURTHER[table]
         return found
+
+    def _by_kind(self, table: type[OneOf]) -> JsonSchemaValue:
+        """Each kind's own schema where the key that names it has its word."""
+        rules = []
+        for word, kind in table.kinds.items():
+            kind.model_rebuild()
+            named = {"properties": {table.by: {"const": word}}, "required": [table.by]}
+            rules.append({"if": named, "then": self.generate_inner(kind.__pydantic_core_schema__)})
+        words = {"enum": list(table.kinds), "description": table.model_fields[table.by].description}
+        return {"type": "object", "properties": {table.by: words}, "allOf": rules}
 
     def nullable_schema(self, schema: core_schema.NullableSchema) -> JsonSchemaValue:
         return self.generate_inner(schema["schema"])

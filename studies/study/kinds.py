@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from decimal import Decimal
 from enum import Enum
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeGuard
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeGuard, get_args
 
 from pydantic import (
     AfterValidator,
@@ -19,13 +20,15 @@ from pydantic import (
     ConfigDict,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
+    ModelWrapValidatorHandler,
+    ValidationError,
     ValidationInfo,
     model_validator,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, ErrorDetails, InitErrorDetails, PydanticCustomError, core_schema
 
-from .errors import Source
+from .errors import Loc, Source, listed, unknown
 from .units import NUMBER, QuantityError, shown, to_si, type_name
 
 MAX_NAME = 64  # characters
@@ -173,6 +176,7 @@ class Enters(Enum):
     NOTHING = "presentation"  # names, words, limits of acceptance: no number hangs on them
     MESH = "mesh"  # the geometry's own key (`shapes.geometry_key`)
     CASE = "case"  # what is made of answers, and not the answers
+    ANSWERS = "answers"  # of answers and case, in a table whose fields are marked otherwise
 
     @classmethod
     def of(cls, field: FieldInfo) -> Enters | None:
@@ -187,8 +191,22 @@ def as_path(value: Any, info: ValidationInfo) -> Path:
     return info.context.locate(value) if isinstance(info.context, Source) else Path(value)
 
 
+_WANTED = {  # kind of pydantic error -> what the value must be
+    "model_type": "a table",
+    "dict_type": "a table",
+    "tuple_type": "a list",
+    "string_type": "a text",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "int_from_float": "a whole number",
+}
+
+
 class Table(BaseModel):
-    """A table of a study file: unknown keys are errors, nothing is coerced, values do not change."""
+    """A table of a study file: unknown keys are errors, nothing is coerced, values do not change.
+
+    What it cannot take is told in sentences for whoever wrote the file, each at its place.
+    """
 
     model_config = ConfigDict(
         extra="forbid",
@@ -198,6 +216,7 @@ class Table(BaseModel):
         defer_build=True,
         serialize_by_alias=True,
     )
+    enters: ClassVar[Enters | None] = None  # of the fields that have no mark of their own
 
     def model_dump(self, **options: Any) -> dict[str, Any]:
         """As plain data with the keys of a file, which has no null."""
@@ -207,15 +226,65 @@ class Table(BaseModel):
         """As JSON text, which `model_validate_json` takes back."""
         return super().model_dump_json(**{"exclude_none": True, **options})
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _prepare(cls, data: Any) -> Any:
-        return cls.with_defaults(data) if isinstance(data, dict) else data
+    def _read(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        try:
+            return cls.of(data, handler, info)
+        except ValidationError as error:
+            faults = [cls._fault(details) for details in error.errors(include_url=False)]
+            raise ValidationError.from_exception_data(cls.__name__, faults) from None
+
+    @classmethod
+    def of(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:  # noqa: ARG003
+        """The table of some data. Raises ValidationError."""
+        return handler(cls.with_defaults(data) if isinstance(data, dict) else data)
 
     @classmethod
     def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
         """`data` with those defaults that depend on other keys."""
         return data
+
+    @classmethod
+    def keys(cls) -> dict[str, FieldInfo]:
+        """The fields by the keys that a file uses."""
+        return {field.alias or name: field for name, field in cls.model_fields.items()}
+
+    @classmethod
+    def unknown_key(cls, key: str) -> str:
+        """What is said of a key that the table has not."""
+        return unknown(key, list(cls.keys()), "key")
+
+    @classmethod
+    def missing_key(cls, key: str) -> str:
+        """What is said of a key that is not there."""
+        return f"is missing: {cls.keys()[key].description}"
+
+    @classmethod
+    def _fault(cls, details: ErrorDetails) -> InitErrorDetails:
+        loc = tuple(part for part in details["loc"] if part not in ("<name>", "<table>"))
+        told = PydanticCustomError("told", "{text}", {"text": cls._sentence(loc, details)})
+        return InitErrorDetails(type=told, loc=loc, input=None)
+
+    @classmethod
+    def _sentence(cls, loc: Loc, details: ErrorDetails) -> str:
+        kind, value = details["type"], details.get("input")
+        if kind == "told":  # by a table inside
+            return details["msg"]
+        if kind == "value_error":
+            return str(details["ctx"]["error"])
+        if kind == "missing":
+            return cls.missing_key(str(loc[-1]))
+        if kind == "extra_forbidden":
+            return cls.unknown_key(str(loc[-1]))
+        if kind == "literal_error":
+            options = re.findall(r"'([^']*)'", details["ctx"]["expected"])
+            if isinstance(value, str):
+                return unknown(value, options, "choice")
+            return f"must be one of {', '.join(options)}, not {type_name(value)}"
+        if kind in _WANTED:
+            return f"must be {_WANTED[kind]}, not {type_name(value)}"
+        return re.sub(r"^(Input|String|Tuple|Dictionary|Value) should", "must", details["msg"])
 
     def without(self, data: dict[str, Any], *marks: Enters) -> dict[str, Any]:
         """Of this table's `data` what does not bear one of these marks, two levels deep; unknown keys stay."""
@@ -223,7 +292,7 @@ class Table(BaseModel):
         kept: dict[str, Any] = {}
         for key, value in data.items():
             name, field = fields.get(key, (key, None))
-            if field is not None and Enters.of(field) in marks:
+            if field is not None and (Enters.of(field) or self.enters) in marks:
                 continue
             table = getattr(self, name) if field is not None else None
             kept[key] = table.without(value, *marks) if isinstance(table, Table) else value
@@ -239,3 +308,72 @@ def _by_key(table: type[Table]) -> dict[str, tuple[str, FieldInfo]]:
 def given(table: Table) -> set[str]:
     """The keys that the file has, or that follow from others, as written there."""
     return {type(table).model_fields[name].alias or name for name in table.model_fields_set if name[0] != "_"}
+
+
+class OneOf(Table):
+    """A table of several kinds, each a class of its own: what its key `by` says, as a `Literal`, registers it.
+
+    A key that another kind has is None.
+    """
+
+    by: ClassVar[str]
+    kinds: ClassVar[dict[str, Any]]  # of the common class: what a file writes -> class
+    version: ClassVar[str] = "1"  # raised whenever its numbers change; part of their keys
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        words = get_args(cls.model_fields[cls.by].annotation) if cls.by in cls.model_fields else ()
+        for word in words:
+            if word in cls.kinds:
+                raise ValueError(f"{cls.by} {word!r} is registered already")
+            cls.kinds[word] = cls
+
+    @classmethod
+    def of(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
+        """The table of the kind that some data says. Raises ValidationError."""
+        if cls in cls.kinds.values() or not isinstance(data, dict):
+            return super().of(data, handler, info)
+        word = data.get(cls.by)
+        if isinstance(word, str) and word in cls.kinds:
+            found: Self = cls.kinds[word].model_validate(data, context=info.context)
+            return found
+        fault: Any = InitErrorDetails(type="missing", loc=(cls.by,), input=data)
+        if cls.by in data:
+            expected = ", ".join(f"'{known}'" for known in cls.kinds)
+            fault = InitErrorDetails(
+                type="literal_error", loc=(cls.by,), input=word, ctx={"expected": expected}
+            )
+        raise ValidationError.from_exception_data(cls.__name__, [fault])
+
+    @classmethod
+    def called(cls) -> str:
+        """What a sentence calls it, such as "a sphere"."""
+        (word,) = get_args(cls.model_fields[cls.by].annotation)
+        return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
+
+    @classmethod
+    def own_keys(cls) -> dict[str, FieldInfo]:
+        """The keys that not every kind has."""
+        common = next(base for base in cls.__mro__ if "kinds" in vars(base) and issubclass(base, OneOf))
+        return {key: field for key, field in cls.keys().items() if key not in common.model_fields}
+
+    @classmethod
+    def unknown_key(cls, key: str) -> str:
+        """What is said of a key that the kind has not."""
+        takes = {*cls.own_keys(), *(name for name, field in cls.keys().items() if field.is_required())} - {
+            cls.by
+        }
+        if difflib.get_close_matches(key[:80], cls.keys()):
+            return super().unknown_key(key)
+        return f"{cls.called()} has no {key}; it takes {listed(takes)}"
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    else:
+
+        def __getattr__(self, name: str) -> Any:
+            if any(name in kind.model_fields for kind in self.kinds.values()):
+                return None
+            return super().__getattr__(name)

@@ -1,18 +1,31 @@
-"""Kinds of constraints: what holds, moves and loads a body.
+"""What holds, moves and loads a body: [[constraints]] as typed tables, one a kind.
 
-One more is a `register(LoadKind(...))`, here or in a file `load_NAME.py`. Its keys of [[constraints]], the checks,
-its unit loads (which decide what answers are shared) and what it does on a mesh follow from that.
+One more is a class, here or in a file `load_NAME.py`. Its checks, its unit loads (which decide what answers are
+shared) and what it does on a mesh follow from that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, get_args
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
 
 from pydantic import Field
 
-from .kinds import SI, Direction, Enters, Force, Length, Name, Position, Pressure, Table, positive
+from .errors import Loc
+from .kinds import (
+    SI,
+    Direction,
+    Enters,
+    Force,
+    Length,
+    Name,
+    OneOf,
+    Position,
+    Pressure,
+    is_safe_name,
+    positive,
+)
 from .registry import load_all
 
 if TYPE_CHECKING:
@@ -72,50 +85,7 @@ else:
     Profile = Literal[("uniform", *PROFILES)]
 
 
-# --- Kinds of constraints: what holds, moves and loads a body ---
-
-
-class AnyConstraint(Table):
-    """What every table of [[constraints]] has; the keys that kinds declare are added to it."""
-
-    kind: str
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any: ...
-
-    region: str = Field(description="name of the region")
-    name: Annotated[Name, Enters.CASE] = Field(
-        "", description="names it in sweeps and reports; the region's name where left out"
-    )
-
-
-@dataclass(frozen=True)
-class LoadKey:
-    """A key of [[constraints]] that a kind takes.
-
-    Attributes
-    ----------
-    type : of its value, with its unit, as the tables of `vdmbench.study.schema` have it
-    help : what it is
-    is_load : whether it says how much acts, and is raised by load factors; of several such keys one is given
-    needed : whether a constraint has to have it, and it is no load
-    default : its value where it is left out
-    example : what to give where it is missing
-    versions : of its words, where they stand for functions; part of the keys of answers
-    """
-
-    type: Any
-    help: str
-    is_load: bool = False
-    needed: bool = False
-    default: Any = None
-    example: str = ""
-    versions: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def unit(self) -> str:
-        """SI unit, "" of a word."""
-        return next((item.unit for item in get_args(self.type) if isinstance(item, SI)), "")
+# --- What they do on a mesh ---
 
 
 class Placed(Protocol):
@@ -166,28 +136,6 @@ class Springs:
 
 
 @dataclass(frozen=True)
-class Pushed:
-    """A rigid frictionless indenter.
-
-    Attributes
-    ----------
-    facets : (F,) mask of those that it can touch
-    shape : "sphere", "flat-punch" or "capsule"
-    radius, length, along : of the shape; the last two of a capsule [m], [m], (3,)
-    direction : (3,) of the push, None for against the mean normal
-    depth : from where it first touches [m]
-    """
-
-    facets: Any
-    shape: str
-    radius: float
-    length: float
-    along: tuple[float, float, float] | None
-    direction: tuple[float, float, float] | None
-    depth: float
-
-
-@dataclass(frozen=True)
 class Acts:
     """What a constraint does at load factor 1: one or several of these, or nothing.
 
@@ -197,14 +145,14 @@ class Acts:
     pressure : (F, Q) into the body [Pa]
     dead : (k, 2) edges or (k, 3) facets, and (3,) the force that is spread evenly over them [N]
     springs : under some of its facets
-    pushed : an indenter
+    pushed : (F,) mask of the facets that a rigid frictionless indenter can touch, and its table
     """
 
     displacement: Any = None
     pressure: Any = None
     dead: Any = None
     springs: Springs | None = None
-    pushed: Pushed | None = None
+    pushed: tuple[Any, Indenter] | None = None
 
     @property
     def needs_an_extra(self) -> bool:
@@ -212,269 +160,220 @@ class Acts:
         return not (self.dead is None and self.springs is None and self.pushed is None)
 
 
-@dataclass(frozen=True, kw_only=True)
-class LoadKind:
-    """A kind of the registry.
+# --- The tables ---
+
+
+class Constraint(OneOf):
+    """[[constraints]]; nodes in none are free
 
     Attributes
     ----------
-    name : what a study writes
-    help : what happens to the region, in some words
-    version : raised whenever it acts otherwise; part of the keys of answers
-    keys : its keys of [[constraints]] besides kind, region and name
     holds : whether the displacement of its nodes is known; nothing may press on those
     supports : whether it resists what moves the body and leaves the displacement open: it belongs to a set-up
-    extra : which of `vdmbench.study.registry.EXTRAS` a model takes that takes it; "" where every model does
-    act : what it does on a mesh
-    check : what is wrong with the keys, beyond what they declare: key -> sentence
+    loads : its keys that say how much acts, and are raised by load factors; of several one is given
+    words : key -> the versions of its words, where they stand for functions; part of the keys of answers
     """
 
-    name: str
-    help: str
-    version: str
-    keys: Mapping[str, LoadKey] = field(default_factory=dict)
-    holds: bool
-    supports: bool = False
-    extra: Callable[[AnyConstraint], str] = lambda _: ""
-    act: Callable[[AnyConstraint, Placed], Acts]
-    check: Callable[[AnyConstraint, frozenset[str]], Mapping[str, str]] = lambda *_: {}
+    by = "kind"
+    kinds: ClassVar[dict[str, Any]] = {}
+    holds: ClassVar[bool] = False
+    supports: ClassVar[bool] = False
+    loads: ClassVar[tuple[str, ...]] = ()
+    words: ClassVar[Mapping[str, Mapping[str, str]]] = {}
+
+    kind: str = Field(description="what happens to the region")
+    region: str = Field(description="name of the region")
+    name: Annotated[Name, Enters.CASE] = Field(
+        "", description="names it in sweeps and reports; the region's name where left out"
+    )
+
+    @classmethod
+    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
+        return {"name": data["region"], **data} if is_safe_name(data.get("region")) else data
+
+    @classmethod
+    def called(cls) -> str:
+        return f"{super().called()} constraint"
 
     @property
-    def loads(self) -> list[str]:
-        """The keys that say how much acts."""
-        return [name for name, key in self.keys.items() if key.is_load]
+    def extra(self) -> str:
+        """Which of `vdmbench.study.registry.EXTRAS` a model takes that takes it; "" where every model does."""
+        return ""
 
-    def versions(self, entry: Mapping[str, Any]) -> dict[str, str]:
+    def act(self, on: Placed) -> Acts:
+        """What it does on a mesh. Raises SceneError."""
+        raise NotImplementedError(f"{self.kind}: a constraint acts")
+
+    def faults(self, region: frozenset[str]) -> Iterator[tuple[Loc, str]]:  # noqa: ARG002
+        """(place inside, what is wrong there); `region` has the keys of its region."""
+        yield from ()
+
+    @classmethod
+    def versions(cls, entry: Mapping[str, Any]) -> dict[str, str]:
         """Its own version, and those of the words that a constraint has."""
-        found = {name: key.versions.get(str(entry.get(name))) for name, key in self.keys.items()}
-        words = {name: version for name, version in found.items() if version is not None}
-        return {"kind": self.version, **words}
+        found = {key: versions.get(str(entry.get(key))) for key, versions in cls.words.items()}
+        return {
+            "kind": cls.version,
+            **{key: version for key, version in found.items() if version is not None},
+        }
 
-    def unit_loads(self, entry: Mapping[str, Any], described: str) -> Iterator[tuple[str, float]]:
+    @classmethod
+    def unit_loads(cls, entry: Mapping[str, Any], described: str) -> Iterator[tuple[str, float]]:
         """Load of size 1 -> how much of it a constraint has, component by component.
 
         Parameters
         ----------
         described : the rest of the constraint, its region spelt out
         """
-        for name in self.loads:
+        for name in cls.loads:
             value = entry.get(name)
             parts = value if isinstance(value, tuple | list) else [value]
             for axis, part in enumerate(parts if value is not None else ()):
-                yield f"{self.name} {name} {axis} {described}", float(part)
-
-
-KINDS: dict[str, LoadKind] = {}
-
-
-def register(kind: LoadKind) -> None:
-    """Add a kind.
-
-    Raises
-    ------
-    ValueError
-        a name that is taken, no version, a key that another kind declares otherwise, or nothing to hold or load by.
-    """
-    if kind.name in KINDS:
-        raise ValueError(f"a kind of constraint {kind.name!r} is registered already")
-    if not kind.version or not (kind.holds or kind.supports or kind.loads):
-        raise ValueError(
-            f"{kind.name}: a kind declares its version, and holds, supports or has a key that is a load"
-        )
-    for name, key in kind.keys.items():
-        others = [other.keys[name] for other in KINDS.values() if name in other.keys]
-        if name in ("kind", "region", "name") or any(key.type != other.type for other in others):
-            raise ValueError(f"{kind.name}: {name} is declared already, as something else")
-    KINDS[kind.name] = kind
-
-
-def keys_of_all() -> dict[str, list[tuple[str, LoadKey]]]:
-    """Key of [[constraints]] -> the kinds that take it, with what they declare."""
-    found: dict[str, list[tuple[str, LoadKey]]] = {}
-    for kind in KINDS.values():
-        for name, key in kind.keys.items():
-            found.setdefault(name, []).append((kind.name, key))
-    return found
+                yield f"{entry['kind']} {name} {axis} {described}", float(part)
 
 
 # --- the kinds ---
 
 
-def _press(constraint: AnyConstraint, on: Placed) -> Acts:
-    shape = on.pressure(constraint.profile)
-    if constraint.force is not None:
-        return Acts(pressure=shape * (constraint.force / on.resultant(shape)))
-    return Acts(pressure=shape * (constraint.pressure or 0.0))
+class Fixed(Constraint):
+    """held at rest"""
+
+    kind: Literal["fixed"]
+    holds = True
+
+    def act(self, on: Placed) -> Acts:  # noqa: ARG002
+        return Acts()
 
 
-def _check_profile(constraint: AnyConstraint, region: frozenset[str]) -> Mapping[str, str]:
-    if constraint.profile in PROFILES and region and not region & {"cap", "ball"}:
-        told = f"a {constraint.profile} profile needs a region that is a cap or a ball"
-        return {"profile": f'{told}, and "{constraint.region}" is neither'}
-    return {}
+class Contact(Constraint):
+    """pressed"""
 
-
-register(LoadKind(name="fixed", help="held at rest", version="1", holds=True, act=lambda *_: Acts()))
-register(
-    LoadKind(
-        name="contact",
-        help="pressed",
-        version="1",
-        keys={
-            "pressure": LoadKey(Pressure, "(peak) pressure, positive into the body", is_load=True),
-            "force": LoadKey(Annotated[float, SI("N")], "resultant, instead of the pressure", is_load=True),
-            "profile": LoadKey(
-                Profile,
-                "shape of the pressure, uniform where left out; the others need a cap or ball",
-                default="uniform",
-                versions=VERSIONS,
-            ),
-        },
-        holds=False,
-        act=_press,
-        check=_check_profile,
-    )
-)
-register(
-    LoadKind(
-        name="constrained",
-        help="moved by a displacement",
-        version="1",
-        keys={
-            "displacement": LoadKey(
-                Position,
-                "displacement at load factor 1",
-                is_load=True,
-                example='three lengths, such as ["0 mm", "0 mm", "-5 mm"]',
-            )
-        },
-        holds=True,
-        act=lambda constraint, _: Acts(displacement=constraint.displacement),
-    )
-)
-register(
-    LoadKind(
-        name="line",
-        help="pulled along a line of edges",
-        version="1",
-        keys={
-            "resultant": LoadKey(
-                Force,
-                "dead force at load factor 1, over its edges",
-                is_load=True,
-                example='three forces, such as ["0 N", "0 N", "-1 N"]',
-            )
-        },
-        holds=False,
-        extra=lambda _: "dead forces",
-        act=lambda constraint, on: Acts(dead=(on.edges(), constraint.resultant)),
-    )
-)
-register(
-    LoadKind(
-        name="traction",
-        help="pulled or sheared by a traction of any direction",
-        version="1",
-        keys={
-            "resultant": LoadKey(
-                Force,
-                "dead force at load factor 1, spread evenly over its facets",
-                is_load=True,
-                example='three forces, such as ["0.1 N", "0 N", "0 N"]',
-            )
-        },
-        holds=False,
-        extra=lambda _: "dead forces",
-        act=lambda constraint, on: Acts(dead=(on.triangles[on.facets()], constraint.resultant)),
-    )
-)
-register(
-    LoadKind(
-        name="elastic",
-        help="on springs",
-        version="2",
-        keys={
-            "stiffness": LoadKey(
-                Annotated[float, SI("Pa/m"), positive],
-                "spring constant per area",
-                needed=True,
-                example='a pressure per length, such as "1 kPa/mm"',
-            ),
-            "direction": LoadKey(
-                Literal["normal", "full"],
-                "what the springs resist: motion along the normal, or any",
-                default="normal",
-            ),
-        },
-        holds=False,
-        supports=True,
-        extra=lambda constraint: f"{constraint.direction or 'normal'} springs",
-        act=lambda constraint, on: Acts(
-            springs=Springs(on.facets(), constraint.stiffness or 0.0, constraint.direction or "normal")
-        ),
-    )
-)
-# --- The kind `indenter`: a rigid frictionless body that is pushed in along an axis, and touches where it will ---
-
-
-_CAPSULE = ("length", "along")  # keys of a capsule alone
-
-
-def _push(constraint: AnyConstraint, on: Placed) -> Acts:
-    return Acts(
-        pushed=Pushed(
-            facets=on.facets(),
-            shape=constraint.shape or "sphere",
-            radius=constraint.radius or 0.0,
-            length=constraint.length or 0.0,
-            along=constraint.along,
-            direction=constraint.push,
-            depth=constraint.depth or 0.0,
-        )
+    kind: Literal["contact"]
+    loads = ("pressure", "force")
+    words: ClassVar[Mapping[str, Mapping[str, str]]] = {"profile": VERSIONS}
+    pressure: Pressure | None = Field(None, description="(peak) pressure, positive into the body")
+    force: Annotated[float, SI("N")] | None = Field(None, description="resultant, instead of the pressure")
+    profile: Profile = Field(
+        "uniform", description="shape of the pressure; all but uniform need a cap or ball"
     )
 
+    def act(self, on: Placed) -> Acts:
+        shape = on.pressure(self.profile)
+        if self.force is not None:
+            return Acts(pressure=shape * (self.force / on.resultant(shape)))
+        return Acts(pressure=shape * (self.pressure or 0.0))
 
-def _check(constraint: AnyConstraint, region: frozenset[str]) -> Mapping[str, str]:  # noqa: ARG001
-    if constraint.shape is None:
-        return {}
-    given = [key for key in _CAPSULE if key in constraint.model_fields_set]
-    if constraint.shape == "capsule":
-        return {key: "is missing; a capsule needs length and along" for key in _CAPSULE if key not in given}
-    return dict.fromkeys(given, f"belongs to a capsule, not to a {constraint.shape}; leave it out")
+    def faults(self, region: frozenset[str]) -> Iterator[tuple[Loc, str]]:
+        if self.pressure is not None and self.force is not None:
+            yield (), "has both pressure and force; keep one"
+        if self.pressure is None and self.force is None:
+            yield (), "a contact needs either pressure or force"
+        if self.profile in PROFILES and region and not region & {"cap", "ball"}:
+            told = f"a {self.profile} profile needs a region that is a cap or a ball"
+            yield ("profile",), f'{told}, and "{self.region}" is neither'
 
 
-register(
-    LoadKind(
-        name="indenter",
-        help="touched by a rigid indenter, without friction",
-        version="1",
-        keys={
-            "depth": LoadKey(
-                Length,
-                "way of the indenter at load factor 1, from where it first touches the region",
-                is_load=True,
-                example='a length, such as "5 mm"',
-            ),
-            "shape": LoadKey(
-                Literal["sphere", "flat-punch", "capsule"],
-                "of the indenter, whose axis goes through the middle of its region",
-                needed=True,
-                example="sphere, flat-punch or capsule",
-            ),
-            "radius": LoadKey(Length, "of the indenter", needed=True, example='a length, such as "10 mm"'),
-            "length": LoadKey(Length, "of a capsule, between the middles of its ends"),
-            "along": LoadKey(Direction, "axis of a capsule, across the push"),
-            "push": LoadKey(
-                Direction, "direction of the push, against the region's mean normal where left out"
-            ),
-        },
-        holds=False,
-        extra=lambda _: "indenter",
-        act=_push,
-        check=_check,
+class Constrained(Constraint):
+    """moved by a displacement"""
+
+    kind: Literal["constrained"]
+    holds = True
+    loads = ("displacement",)
+    displacement: Position = Field(
+        description='displacement at load factor 1, such as ["0 mm", "0 mm", "-5 mm"]'
     )
-)
+
+    def act(self, on: Placed) -> Acts:  # noqa: ARG002
+        return Acts(displacement=self.displacement)
 
 
+class _Dead(Constraint):
+    loads = ("resultant",)
+
+    @property
+    def extra(self) -> str:
+        return "dead forces"
+
+
+class Line(_Dead):
+    """pulled along a line of edges"""
+
+    kind: Literal["line"]
+    resultant: Force = Field(
+        description='dead force at load factor 1, over its edges, such as ["0 N", "0 N", "-1 N"]'
+    )
+
+    def act(self, on: Placed) -> Acts:
+        return Acts(dead=(on.edges(), self.resultant))
+
+
+class Traction(_Dead):
+    """pulled or sheared by a traction of any direction"""
+
+    kind: Literal["traction"]
+    resultant: Force = Field(
+        description='dead force at load factor 1, spread evenly over its facets, such as ["0.1 N", "0 N", "0 N"]'
+    )
+
+    def act(self, on: Placed) -> Acts:
+        return Acts(dead=(on.triangles[on.facets()], self.resultant))
+
+
+class Elastic(Constraint):
+    """on springs"""
+
+    kind: Literal["elastic"]
+    version = "2"
+    supports = True
+    stiffness: Annotated[float, SI("Pa/m"), positive] = Field(
+        description='spring constant per area, such as "1 kPa/mm"'
+    )
+    direction: Literal["normal", "full"] = Field(
+        "normal", description="what the springs resist: motion along the normal, or any"
+    )
+
+    @property
+    def extra(self) -> str:
+        return f"{self.direction} springs"
+
+    def act(self, on: Placed) -> Acts:
+        return Acts(springs=Springs(on.facets(), self.stiffness, self.direction))
+
+
+class Indenter(Constraint):
+    """touched by a rigid indenter, without friction"""
+
+    kind: Literal["indenter"]
+    loads = ("depth",)
+    depth: Length = Field(
+        description='way of the indenter at load factor 1, from where it first touches the region, such as "5 mm"'
+    )
+    shape: Literal["sphere", "flat-punch", "capsule"] = Field(
+        description="of the indenter, whose axis goes through the middle of its region: "
+        "sphere, flat-punch or capsule"
+    )
+    radius: Length = Field(description='of the indenter, such as "10 mm"')
+    length: Length | None = Field(None, description="of a capsule, between the middles of its ends")
+    along: Direction | None = Field(None, description="axis of a capsule, across the push")
+    push: Direction | None = Field(
+        None, description="direction of the push, against the region's mean normal where left out"
+    )
+
+    @property
+    def extra(self) -> str:
+        return "indenter"
+
+    def act(self, on: Placed) -> Acts:
+        return Acts(pushed=(on.facets(), self))
+
+    def faults(self, region: frozenset[str]) -> Iterator[tuple[Loc, str]]:  # noqa: ARG002
+        for key in ("length", "along"):
+            if self.shape == "capsule" and getattr(self, key) is None:
+                yield (key,), "is missing; a capsule needs length and along"
+            if self.shape != "capsule" and getattr(self, key) is not None:
+                yield (key,), f"belongs to a capsule, not to a {self.shape}; leave it out"
+
+
+KINDS: dict[str, type[Constraint]] = Constraint.kinds
 load_all("vdmbench.study", "load_")  # last: they use what is above
 LOAD_KEYS = {name for kind in KINDS.values() for name in kind.loads}

@@ -333,7 +333,7 @@ class Measured(Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _read(cls, data: Any, info: ValidationInfo) -> Any:
+    def _of_file(cls, data: Any, info: ValidationInfo) -> Any:
         """The file's values in the place of its path, so that a case carries all that decides its numbers."""
         if not isinstance(data, dict) or data.get("path") is None:
             return data

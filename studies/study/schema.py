@@ -10,15 +10,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
     ConfigDict,
     Discriminator,
     Field,
-    PlainValidator,
     PrivateAttr,
     SerializeAsAny,
     Tag,
@@ -45,17 +43,16 @@ from .kinds import (
     Table,
     Time,
     Vector3,
-    as_path,
     is_safe_name,
     not_negative,
     number_check,
     one_line,
     positive,
 )
-from .loads import KINDS, AnyConstraint, keys_of_all
+from .loads import Constraint
 from .measured import MOST_TABLES, Measured
 from .registry import SCANNED, Parameter, all_models, own_parameters
-from .shapes import CAVITIES, LEAST_SLIVERS, MOST_PERTURBATION, SHAPES, shape_names
+from .shapes import Geometry
 
 YoungsModulus = Annotated[
     float,
@@ -136,119 +133,6 @@ LAW_KEYS = tuple(dict.fromkeys(key for law in LAWS.values() for key in law.keys)
 def parameters_of(tissue: Tissue) -> dict[str, float | tuple[float, ...]]:
     """The numbers of a tissue's law by key; none of the neo-Hookean one."""
     return {key: getattr(tissue, key) for key in LAWS[tissue.law or NEO_HOOKEAN].keys}
-
-
-# --- [geometry] as a typed table: the keys that shapes declare, those of files and those of any shape ---
-
-
-def _of_shapes(key: str) -> tuple[Any, Any]:
-    """Type and help of a key of [geometry] that some shapes declare, and a file's size."""
-    taken = {shape.name: shape.parameters[key] for shape in SHAPES.values() if key in shape.parameters}
-    texts: dict[str, list[str]] = {}
-    for name, text in [(name, about.help) for name, about in taken.items()] + _OF_FILE.get(key, []):
-        texts.setdefault(text, []).append(name)
-    told = "; ".join(f"{', '.join(names)}: {text}" for text, names in texts.items())
-    first, counts = next(iter(taken.values())), {about.count for about in taken.values()}
-    values = {(False,): float, (True,): Vector3, (False, True): float | Vector3}
-    kind: Any = Annotated[
-        values[tuple(sorted({count > 1 for count in counts}))],
-        SI(first.unit, tuple(sorted(counts))),
-        positive,
-    ]
-    if first.choices:
-        kind = Literal[tuple(sorted(first.choices))]
-    if key == "cavities":  # what they hold is no part of the mesh
-        return kind | None, Field(None, description=told)
-    return Annotated[kind | None, Enters.MESH], Field(None, description=told)
-
-
-_OF_FILE = {
-    "size": [("file", "its largest extent")],
-    "cavities": [("file", f"{CAVITIES}; needed where closed pieces of its surface lie inside the outer one")],
-}
-
-
-class _Body(Table):
-    if TYPE_CHECKING:
-        shape: str
-        size: float | Vector3 | None
-        cavities: Literal["empty", "fluid"] | None
-    else:
-        shape: Annotated[Literal[shape_names()], Enters.MESH] = Field(
-            description="kind of body; `organ` is a procedural liver, `file` reads a mesh"
-        )
-    mesh_size: Annotated[Length | None, Enters.MESH] = Field(
-        None, description="edge length of the mesh; only a file with tetrahedra does without"
-    )
-
-
-if TYPE_CHECKING:
-    _ShapedBody = _Body
-else:
-    _ShapedBody = create_model(
-        "_ShapedBody",
-        __base__=_Body,
-        **{key: _of_shapes(key) for shape in SHAPES.values() for key in shape.parameters},
-    )
-
-
-class Geometry(_ShapedBody):
-    """[geometry]; all shapes but a file are centred on the origin"""
-
-    path: Annotated[
-        Annotated[Path, PlainValidator(as_path, json_schema_input_type=str)] | None, Enters.MESH
-    ] = Field(
-        None,
-        description="file: a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is scaled to metres "
-        "and not moved",
-    )
-    coordinates: Literal["file", "centred"] | None = Field(
-        None,
-        description="file: what the coordinates of planes, balls, boxes and measured points start from: the origin "
-        "of the file, or the middle of its bounding box; needed where a study has coordinates",
-    )
-    repair: Annotated[Literal["fill-holes", "largest-piece", "both"] | None, Enters.MESH] = Field(
-        None,
-        description="file: close holes of a surface by facets between the nodes of their rims, keep of several "
-        "pieces the one with the most area, or both; left out, either is refused",
-    )
-    scale: Annotated[Annotated[float, SI("1"), positive] | None, Enters.MESH] = Field(
-        None, description="file: metres per unit of the file, 1 where neither scale nor size is given"
-    )
-    slivers: Annotated[
-        Annotated[
-            float, SI("1"), number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")
-        ]
-        | None,
-        Enters.MESH,
-    ] = Field(
-        None,
-        description="any shape: squeeze one facet in twenty-five until its longest edge is so many heights",
-    )
-    perturbation: Annotated[
-        Annotated[
-            float,
-            SI("1"),
-            positive,
-            number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}"),
-        ]
-        | None,
-        Enters.MESH,
-    ] = Field(
-        None, description="any shape: move each node at random by up to this share of its shortest edge"
-    )
-    seed: Annotated[int | None, Enters.MESH] = Field(
-        None, description="of the slivers and the perturbation, 0 where left out", ge=0, lt=2**32
-    )
-
-    @classmethod
-    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        shape = SHAPES.get(str(data.get("shape")))
-        keys = shape.parameters.items() if shape is not None else ()
-        return {name: about.choices[0] for name, about in keys if about.choices} | data
-
-
-# --- The study file as typed tables: every key with its type, its unit and its help text beside it ---
 
 
 Vdm = dict[str, float | str]
@@ -443,37 +327,6 @@ RegionRef = Annotated[
 ]
 
 
-if TYPE_CHECKING:
-    _ConstraintOfKinds = AnyConstraint
-else:
-    _ConstraintOfKinds = create_model(
-        "_ConstraintOfKinds",
-        __base__=AnyConstraint,
-        kind=(
-            Literal[tuple(KINDS)],
-            Field(description=", ".join(f"{kind.name}: {kind.help}" for kind in KINDS.values())),
-        ),
-        **{
-            name: (
-                taken[0][1].type | None,
-                Field(None, description="; ".join(f"{kind}: {key.help}" for kind, key in taken)),
-            )
-            for name, taken in keys_of_all().items()
-        },
-    )
-
-
-class Constraint(_ConstraintOfKinds):
-    """[[constraints]]; nodes in none are free"""
-
-    @classmethod
-    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        defaults = {"name": data["region"]} if is_safe_name(data.get("region")) else {}
-        kind = KINDS.get(str(data.get("kind")))
-        keys = kind.keys.items() if kind is not None else ()
-        return defaults | {name: key.default for name, key in keys if key.default is not None} | data
-
-
 class Load(Table):
     """[load]"""
 
@@ -648,14 +501,14 @@ class Study(Table):
     """A whole study file, validated, in SI units."""
 
     study: StudyInfo = Field(description="what is compared")
-    geometry: Geometry = Field(description="the body")
+    geometry: SerializeAsAny[Geometry] = Field(description="the body")
     tissue: Tissue = Field(description="its material")
     inclusions: tuple[Inclusion, ...] | None = Field(
         None, description="parts of the inside with moduli of their own", strict=False, max_length=MOST_NAMES
     )
     vdm: VdmTable = Field(VdmTable(), description="parameters of the VDM models")
     regions: dict[str, Region] = Field({}, description="named sets of surface nodes", max_length=MOST_NAMES)
-    constraints: tuple[Constraint, ...] = Field(
+    constraints: tuple[SerializeAsAny[Constraint], ...] = Field(
         (), description="what holds and loads the body", strict=False, max_length=MOST_NAMES
     )
     load: Load = Field(Load(), description="the load history")
@@ -711,7 +564,7 @@ Region.model_rebuild()
 
 def extras_of(study: Study) -> frozenset[str]:
     """Of `vdmbench.study.registry.EXTRAS` those that a study has."""
-    found = {KINDS[part.kind].extra(part) for part in study.constraints if part.kind in KINDS} - {""}
+    found = {part.extra for part in study.constraints} - {""}
     if study.tissue.law not in (None, NEO_HOOKEAN):
         found.add("law")
     if study.geometry.cavities is not None:

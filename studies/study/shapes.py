@@ -1,6 +1,6 @@
-"""Shapes of bodies. One more is a `register(BodyShape(...))`, here or in a file `shape_NAME.py`.
+"""Shapes of bodies: [geometry] as typed tables, one a shape. One more is a class here or in a file `shape_NAME.py`.
 
-Its keys of [geometry], their checks, the estimate of its mesh, its content key and its mesh follow from that.
+Its checks, the estimate of its mesh, its content key and its mesh follow from that.
 """
 
 from __future__ import annotations
@@ -8,13 +8,14 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from .errors import MeshError
+from pydantic import Field, PlainValidator
+
+from .errors import MeshError, listed
+from .kinds import SI, Enters, Length, OneOf, Vector3, as_path, number_check, positive
 from .registry import load_all
 
 if TYPE_CHECKING:
@@ -27,265 +28,246 @@ if TYPE_CHECKING:
 Extents = tuple[float, float, float]
 VOLUME_SUFFIXES = (".msh", ".vtu", ".vtk")
 CAVITIES = "what its cavities hold: nothing, or an incompressible fluid that keeps the volume of each"
-FILE = "file"  # the shape that is read, and has no declaration
+LEAST_SLIVERS, MOST_PERTURBATION = 2.0, 0.5
 
 
-@dataclass(frozen=True)
-class Geometry:
-    """A shape with resolved parameters, in SI units; all but files are centred on the origin.
+class Geometry(OneOf):
+    """[geometry]; all shapes but a file are centred on the origin"""
 
-    Attributes
-    ----------
-    shape : a name in `SHAPES`, or "file"
-    mesh_size : edge length wanted [m]; a file with tetrahedra keeps its own
-    parameters : those that the shape declares, lengths in m. file: path, and at most one of size (largest extent
-        after scaling) and scale (factor from the file's unit to m, 1 by default). any: slivers, perturbation, seed
-        of `vdmbench.body.distort`.
-    """
+    by = "shape"
+    kinds: ClassVar[dict[str, Any]] = {}
+    enters = Enters.MESH
+    packages: ClassVar[tuple[str, ...]] = ("gmsh",)  # the distributions whose version can change the mesh
+    has_own_tetrahedra: ClassVar[bool] = False
 
-    shape: str
-    mesh_size: float
-    parameters: Mapping[str, float | tuple[float, ...] | str]
+    shape: str = Field(description="kind of body")
+    mesh_size: Length | None = Field(
+        None, description="edge length of the mesh; only a file with tetrahedra does without"
+    )
+    slivers: (
+        Annotated[
+            float, SI("1"), number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")
+        ]
+        | None
+    ) = Field(
+        None,
+        description="any shape: squeeze one facet in twenty-five until its longest edge is so many heights",
+    )
+    perturbation: (
+        Annotated[
+            float,
+            SI("1"),
+            positive,
+            number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}"),
+        ]
+        | None
+    ) = Field(
+        None, description="any shape: move each node at random by up to this share of its shortest edge"
+    )
+    seed: int | None = Field(
+        None, description="of the slivers and the perturbation, 0 where left out", ge=0, lt=2**32
+    )
 
-    def number(self, name: str) -> float:
-        """A parameter that is one number."""
-        return self.numbers(name)[0]
-
-    def numbers(self, name: str) -> tuple[float, ...]:
-        """A parameter as a tuple of numbers."""
-        value = self.parameters[name]
-        if isinstance(value, str):
-            raise MeshError(f"{self.shape}: {name} must be a number, not {value!r}", name)
-        values = value if isinstance(value, tuple | list) else (value,)
-        return tuple(float(v) for v in values)
-
-    def choice(self, name: str) -> str:
-        """A parameter that is one of several words, its default where it is left out."""
-        return str(self.parameters.get(name, SHAPES[self.shape].parameters[name].choices[0]))
-
-    def scaled(self, factor: float, *names: str) -> Geometry:
-        """With these lengths times a factor, all of its shape's where none is named."""
-        lengths = names or [name for name, about in SHAPES[self.shape].parameters.items() if about.is_length]
-        parameters = {name: tuple(factor * number for number in self.numbers(name)) for name in lengths}
-        return replace(self, parameters={**self.parameters, **parameters})
-
-    @property
-    def path(self) -> Path:
-        """The file of shape `file`."""
-        return Path(str(self.parameters["path"]))
-
-    @property
-    def has_own_tetrahedra(self) -> bool:
-        """Whether the shape is a file with tetrahedra, which `mesh_size` does not touch."""
-        return self.shape == FILE and self.path.suffix.lower() in VOLUME_SUFFIXES
-
-
-@dataclass(frozen=True)
-class ShapeKey:
-    """A key of [geometry] that a shape takes: 1 or 3 positive lengths or numbers, or one of several words.
-
-    Attributes
-    ----------
-    help : what it is
-    count : how many numbers
-    unit : "m", or "1" of a plain number
-    choices : the words, the default first; without it the key is needed
-    """
-
-    help: str
-    count: int = 1
-    unit: str = "m"
-    choices: tuple[str, ...] = ()
+    @classmethod
+    def missing_key(cls, key: str) -> str:
+        """What is said of a key that is not there."""
+        needed = {name for name, field in cls.keys().items() if field.is_required()} - {"shape"}
+        return f"is missing; {cls.called()} needs {listed(needed)}" if needed else super().missing_key(key)
 
     @property
-    def is_length(self) -> bool:
-        """Whether it scales with the body."""
-        return self.unit == "m" and not self.choices
+    def parameters(self) -> dict[str, Any]:
+        """What is given beside the shape, the size of its mesh and what coordinates start from."""
+        apart = ("shape", "mesh_size", "coordinates")
+        return {key: value for key, value in self.model_dump().items() if key not in apart}
 
 
-@dataclass(frozen=True, kw_only=True)
-class BodyShape:
-    """A shape of the registry, centred on the origin.
+class Shape(Geometry):
+    """A shape that is no file."""
 
-    Attributes
-    ----------
-    name : what a study writes
-    version : raised whenever its meshes change; part of their keys
-    parameters : its keys of [geometry] besides mesh_size
-    extents : along x, y and z [m]
-    area_and_volume : [m^2], [m^3], within some percent: the size of a mesh is told from them
-    add : adds it to `gmsh.model.occ`, with lengths in units of the mesher's
-    of_sphere : points (n, 3) of its surface for points of the unit sphere, one to one, of any size and place
-    """
+    if TYPE_CHECKING:
+        mesh_size: float
+    else:
+        mesh_size: Length = Field(description=Geometry.model_fields["mesh_size"].description)
 
-    name: str
-    version: str
-    parameters: Mapping[str, ShapeKey]
-    extents: Callable[[Geometry], Extents]
-    area_and_volume: Callable[[Geometry], tuple[float, float]]
-    add: Callable[[Any, Geometry], None] | None = None
-    of_sphere: Callable[[Array], Array] | None = None
+    def extents(self) -> Extents:
+        """Along x, y and z [m]."""
+        raise NotImplementedError(f"{self.shape}: a shape has extents")
 
-    @property
-    def needed(self) -> set[str]:
-        """The keys that it cannot do without, mesh_size apart."""
-        return {name for name, about in self.parameters.items() if not about.choices}
+    def area_and_volume(self) -> tuple[float, float]:
+        """[m^2], [m^3], within some percent: the size of a mesh is told from them."""
+        raise NotImplementedError(f"{self.shape}: a shape has an area and a volume")
+
+    def extent_key(self) -> str:
+        """The key of the largest length."""
+        lengths = {
+            key: getattr(self, key) for key in self.own_keys() if not isinstance(getattr(self, key), str)
+        }
+        return max(
+            lengths, key=lambda key: max(lengths[key]) if isinstance(lengths[key], tuple) else lengths[key]
+        )
 
 
-SHAPES: dict[str, BodyShape] = {}
+class Solid(Shape):
+    """A shape that OpenCASCADE makes."""
+
+    def add(self, occ: Any, unit: float) -> None:
+        """Add it to `gmsh.model.occ`, in lengths of `unit` [m]."""
+        raise NotImplementedError(f"{self.shape}: a solid is added to a model")
 
 
-def register(shape: BodyShape) -> None:
-    """Add a shape.
+class SphereImage(Shape):
+    """A shape that is a smooth image of the unit sphere."""
 
-    Raises
-    ------
-    ValueError
-        a name that is taken, a key that another shape declares otherwise, or not one way to make it.
-    """
-    if shape.name in (FILE, *SHAPES):
-        raise ValueError(f"a shape {shape.name!r} is registered already")
-    if not shape.version or (shape.add is None) == (shape.of_sphere is None):
-        raise ValueError(f"{shape.name}: a shape declares its version and either add or of_sphere")
-    for name, about in shape.parameters.items():
-        others = [known.parameters[name] for known in SHAPES.values() if name in known.parameters]
-        if any((about.unit, about.choices) != (other.unit, other.choices) for other in others):
-            raise ValueError(f"{shape.name}: {name} is declared already, as something else")
-    SHAPES[shape.name] = shape
+    packages = ("gmsh", "pyacvd", "vtk")
 
-
-def shape_names() -> tuple[str, ...]:
-    """Every name that a study can write."""
-    return (*SHAPES, FILE)
+    def of_sphere(self, sphere: Array) -> Array:
+        """Points (n, 3) of its surface for points of the unit sphere, one to one, of any size and place."""
+        raise NotImplementedError(f"{self.shape}: an image of the sphere has points")
 
 
 # --- the solids ---
 
 
-def _solid(name: str, parameters: Mapping[str, ShapeKey], **functions: Any) -> None:
-    register(BodyShape(name=name, version="1", parameters=parameters, **functions))
+class _Ball(Solid):
+    def area_and_volume(self) -> tuple[float, float]:
+        """The area is Thomsen's formula (p = 1.6075), within 1.1 % of an ellipsoid's."""
+        a, b, c = self.extents()
+        p = 1.6075
+        mean = ((a * b) ** p + (b * c) ** p + (c * a) ** p) / 3
+        return math.pi * mean ** (1 / p), math.pi / 6 * a * b * c
+
+    def add(self, occ: Any, unit: float) -> None:
+        ball = occ.addSphere(0.0, 0.0, 0.0, 0.5)
+        occ.dilate([(3, ball)], 0.0, 0.0, 0.0, *(extent / unit for extent in self.extents()))
 
 
-def _add_ball(occ: Any, body: Geometry) -> None:
-    ball = occ.addSphere(0.0, 0.0, 0.0, 0.5)
-    occ.dilate([(3, ball)], 0.0, 0.0, 0.0, *SHAPES[body.shape].extents(body))
+class Sphere(_Ball):
+    """a ball"""
+
+    shape: Literal["sphere"]
+    radius: Length = Field(description="radius")
+
+    def extents(self) -> Extents:
+        return (2 * self.radius,) * 3
 
 
-def _ellipsoid_extents(body: Geometry) -> Extents:
-    a, b, c = (2 * semi_axis for semi_axis in body.numbers("semi_axes"))
-    return a, b, c
+class Ellipsoid(_Ball):
+    """a ball, stretched along the axes"""
+
+    shape: Literal["ellipsoid"]
+    semi_axes: Annotated[Vector3, SI("m", (3,)), positive] = Field(
+        description="half of its extents along x, y, z"
+    )
+
+    def extents(self) -> Extents:
+        a, b, c = self.semi_axes
+        return 2 * a, 2 * b, 2 * c
 
 
-def _ball_area_and_volume(body: Geometry) -> tuple[float, float]:
-    """The area is Thomsen's formula (p = 1.6075), within 1.1 % of an ellipsoid's."""
-    a, b, c = SHAPES[body.shape].extents(body)
-    p = 1.6075
-    mean = ((a * b) ** p + (b * c) ** p + (c * a) ** p) / 3
-    return math.pi * mean ** (1 / p), math.pi / 6 * a * b * c
+class HollowSphere(Solid):
+    """a ball with a cavity in its middle"""
 
+    shape: Literal["hollow-sphere"]
+    radius: Length = Field(description="radius")
+    cavity_radius: Length = Field(description="radius of the ball in its middle that is left out")
+    cavities: Annotated[Literal["empty", "fluid"], Enters.ANSWERS] = Field("empty", description=CAVITIES)
 
-_solid(
-    "sphere",
-    {"radius": ShapeKey("radius")},
-    extents=lambda body: (2 * body.number("radius"),) * 3,
-    area_and_volume=_ball_area_and_volume,
-    add=_add_ball,
-)
-_solid(
-    "ellipsoid",
-    {"semi_axes": ShapeKey("half of its extents along x, y, z", count=3)},
-    extents=_ellipsoid_extents,
-    area_and_volume=_ball_area_and_volume,
-    add=_add_ball,
-)
+    def extents(self) -> Extents:
+        if not self.cavity_radius < self.radius:
+            told = f"the cavity must be smaller than the ball: {self.cavity_radius:g} m in {self.radius:g} m"
+            raise MeshError(told, "cavity_radius")
+        return (2 * self.radius,) * 3
 
+    def area_and_volume(self) -> tuple[float, float]:
+        outer, inner = self.radius, self.cavity_radius
+        return 4 * math.pi * (outer**2 + inner**2), 4 / 3 * math.pi * (outer**3 - inner**3)
 
-def _hollow_extents(body: Geometry) -> Extents:
-    radius, cavity = body.number("radius"), body.number("cavity_radius")
-    if not cavity < radius:
-        raise MeshError(
-            f"the cavity must be smaller than the ball: {cavity:g} m in {radius:g} m", "cavity_radius"
+    def add(self, occ: Any, unit: float) -> None:
+        whole, cavity = (
+            occ.addSphere(0.0, 0.0, 0.0, radius / unit) for radius in (self.radius, self.cavity_radius)
         )
-    return (2 * radius,) * 3
+        occ.cut([(3, whole)], [(3, cavity)])
 
 
-def _hollow_area_and_volume(body: Geometry) -> tuple[float, float]:
-    radius, cavity = body.number("radius"), body.number("cavity_radius")
-    return 4 * math.pi * (radius**2 + cavity**2), 4 / 3 * math.pi * (radius**3 - cavity**3)
+class Box(Solid):
+    """a cuboid"""
+
+    shape: Literal["box"]
+    size: Annotated[Vector3, SI("m", (3,)), positive] = Field(description="its extents along x, y, z")
+
+    def extents(self) -> Extents:
+        return self.size
+
+    def area_and_volume(self) -> tuple[float, float]:
+        a, b, c = self.size
+        return 2 * (a * b + b * c + c * a), a * b * c
+
+    def add(self, occ: Any, unit: float) -> None:
+        size = [length / unit for length in self.size]
+        occ.addBox(*(-0.5 * length for length in size), *size)
 
 
-def _add_hollow_ball(occ: Any, body: Geometry) -> None:
-    whole, cavity = (occ.addSphere(0.0, 0.0, 0.0, body.number(name)) for name in ("radius", "cavity_radius"))
-    occ.cut([(3, whole)], [(3, cavity)])
+class Cylinder(Solid):
+    """a round cylinder"""
+
+    shape: Literal["cylinder"]
+    radius: Length = Field(description="radius")
+    length: Length = Field(description="length")
+    axis: Literal["x", "y", "z"] = Field("z", description="its axis")
+
+    def _along(self, length: float, across: float) -> Extents:
+        a, b, c = (length if name == self.axis else across for name in "xyz")
+        return a, b, c
+
+    def extents(self) -> Extents:
+        return self._along(self.length, 2 * self.radius)
+
+    def area_and_volume(self) -> tuple[float, float]:
+        return 2 * math.pi * self.radius * (self.radius + self.length), math.pi * self.radius**2 * self.length
+
+    def add(self, occ: Any, unit: float) -> None:
+        length = self._along(self.length / unit, 0.0)
+        occ.addCylinder(*(-0.5 * part for part in length), *length, self.radius / unit)
 
 
-_solid(
-    "hollow-sphere",
-    {
-        "radius": ShapeKey("radius"),
-        "cavity_radius": ShapeKey("radius of the ball in its middle that is left out"),
-        "cavities": ShapeKey(CAVITIES, choices=("empty", "fluid")),
-    },
-    extents=_hollow_extents,
-    area_and_volume=_hollow_area_and_volume,
-    add=_add_hollow_ball,
-)
+class FileBody(Geometry):
+    """a mesh from a file: a surface, or tetrahedra"""
+
+    shape: Literal["file"]
+    path: Annotated[Path, PlainValidator(as_path, json_schema_input_type=str)] = Field(
+        description="a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is scaled to metres and not "
+        "moved"
+    )
+    size: Length | None = Field(None, description="its largest extent")
+    scale: Annotated[float, SI("1"), positive] | None = Field(
+        None, description="metres per unit of the file, 1 where neither scale nor size is given"
+    )
+    coordinates: Annotated[Literal["file", "centred"] | None, Enters.ANSWERS] = Field(
+        None,
+        description="what the coordinates of planes, balls, boxes and measured points start from: the origin of "
+        "the file, or the middle of its bounding box; needed where a study has coordinates",
+    )
+    cavities: Annotated[Literal["empty", "fluid"] | None, Enters.ANSWERS] = Field(
+        None, description=f"{CAVITIES}; needed where closed pieces of its surface lie inside the outer one"
+    )
+    repair: Literal["fill-holes", "largest-piece", "both"] | None = Field(
+        None,
+        description="close holes of a surface by facets between the nodes of their rims, keep of several pieces "
+        "the one with the most area, or both; left out, either is refused",
+    )
+
+    @property
+    def suffix(self) -> str:
+        """In small letters."""
+        return self.path.suffix.lower()
+
+    @property
+    def has_own_tetrahedra(self) -> bool:  # type: ignore[override]
+        """Whether the file has tetrahedra, which `mesh_size` does not touch."""
+        return self.suffix in VOLUME_SUFFIXES
 
 
-def _box_extents(body: Geometry) -> Extents:
-    a, b, c = body.numbers("size")
-    return a, b, c
-
-
-def _box_area_and_volume(body: Geometry) -> tuple[float, float]:
-    a, b, c = _box_extents(body)
-    return 2 * (a * b + b * c + c * a), a * b * c
-
-
-def _add_box(occ: Any, body: Geometry) -> None:
-    size = _box_extents(body)
-    occ.addBox(*(-0.5 * length for length in size), *size)
-
-
-_solid(
-    "box",
-    {"size": ShapeKey("its extents along x, y, z", count=3)},
-    extents=_box_extents,
-    area_and_volume=_box_area_and_volume,
-    add=_add_box,
-)
-
-
-def _along(body: Geometry, length: float, across: float) -> Extents:
-    """The length along a cylinder's axis, and something else along the two others."""
-    a, b, c = (length if name == body.choice("axis") else across for name in "xyz")
-    return a, b, c
-
-
-def _cylinder_area_and_volume(body: Geometry) -> tuple[float, float]:
-    radius, length = body.number("radius"), body.number("length")
-    return 2 * math.pi * radius * (radius + length), math.pi * radius**2 * length
-
-
-def _add_cylinder(occ: Any, body: Geometry) -> None:
-    length = _along(body, body.number("length"), 0.0)
-    occ.addCylinder(*(-0.5 * part for part in length), *length, body.number("radius"))
-
-
-_solid(
-    "cylinder",
-    {
-        "radius": ShapeKey("radius"),
-        "length": ShapeKey("length"),
-        "axis": ShapeKey("its axis, z where left out", choices=("z", "x", "y")),
-    },
-    extents=lambda body: _along(body, body.number("length"), 2 * body.number("radius")),
-    area_and_volume=_cylinder_area_and_volume,
-    add=_add_cylinder,
-)
-
-
-# --- What is to be meshed, as plain values: checks, size estimate and content key. Imports no mesher ---
+# --- What is to be meshed: checks, size estimate and content key. Imports no mesher ---
 
 
 MESHER_VERSION = "2"  # raise it with every change that alters a mesh
@@ -295,20 +277,6 @@ SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
 SMALLEST_EXTENT = 1e-3  # m; outside these two a length in the wrong unit is far likelier than such an organ
 MAX_NODES = 2_000_000  # of a mesh
 LARGEST_EXTENT = 10.0  # m
-
-DISTORTIONS = ("slivers", "perturbation", "seed")  # what any shape may have, see `vdmbench.body.distort`
-LEAST_SLIVERS, MOST_PERTURBATION = 2.0, 0.5
-
-
-def extents(geometry: Geometry) -> tuple[float, float, float]:
-    """Extents along x, y and z [m] of a shape that is not a file."""
-    return SHAPES[geometry.shape].extents(geometry)
-
-
-def extent_key(geometry: Geometry) -> str:
-    """The key that decides the largest extent of a shape that is not a file: that which changes it most."""
-    lengths = [name for name, about in SHAPES[geometry.shape].parameters.items() if about.is_length]
-    return max(lengths, key=lambda name: max(extents(geometry.scaled(1.01, name))))
 
 
 def check_extent(extent: float, remedy: str, key: str = "") -> None:
@@ -327,11 +295,6 @@ def check_mesh_size(mesh_size: float, smallest_extent: float) -> None:
             f"use at most {0.5 * smallest_extent:g} m",
             "mesh_size",
         )
-
-
-def area_and_volume(geometry: Geometry) -> tuple[float, float]:
-    """Surface area [m^2] and volume [m^3] of a shape that is not a file, see `BodyShape`."""
-    return SHAPES[geometry.shape].area_and_volume(geometry)
 
 
 def estimated_nodes(area: float, volume: float, mesh_size: float) -> float:
@@ -371,7 +334,7 @@ def fewer_nodes(geometry: Geometry, extent: float) -> str:
     """What to do about a mesh with too many nodes of a body this long [m], whose unit may be mixed up."""
     given = [key for key in ("size", "scale") if key in geometry.parameters]
     told = "if that is wrong correct " + (given[0] if given else "its lengths")
-    if geometry.shape == FILE and not given:
+    if isinstance(geometry, FileBody) and not given:
         told = "if the file is not in metres give scale or size"
     last = "coarsen it" if geometry.has_own_tetrahedra else "use a larger mesh_size"
     return f"the body is {extent:.3g} m across: {told}, else {last}"
@@ -382,40 +345,32 @@ def geometry_key(geometry: Geometry, *, volume: bool) -> str:
 
     A file counts by its content and kind, not by its path. Raises MeshError where the file cannot be read.
     """
-    inputs: dict[str, object] = {
-        name: value if isinstance(value, str) else [v.hex() for v in geometry.numbers(name)]
-        for name, value in geometry.parameters.items()
-        if name != "path"
-    }
-    if geometry.shape != FILE:
-        shape = SHAPES[geometry.shape]
-        inputs |= {name: geometry.choice(name) for name, about in shape.parameters.items() if about.choices}
-        inputs["version"] = shape.version
-    else:
+    inputs: dict[str, object] = {}
+    for name, value in geometry.parameters.items():
+        if name == "path":
+            continue
+        numbers = value if isinstance(value, tuple) else (value,)
+        inputs[name] = value if isinstance(value, str) else [float(v).hex() for v in numbers]
+    packages = geometry.packages
+    if isinstance(geometry, FileBody):
         inputs["file"] = file_digest(geometry.path)
-        inputs["kind"] = geometry.path.suffix.lower()
+        inputs["kind"] = geometry.suffix
         inputs["origin"] = "file"  # until version 0.2 a body was moved to the origin
         if "size" not in inputs:
             inputs.setdefault("scale", [(1.0).hex()])
+        packages = ("gmsh", "meshio") if geometry.has_own_tetrahedra else ("gmsh", "pyacvd", "vtk")
+    else:
+        inputs["version"] = geometry.version
     if not geometry.has_own_tetrahedra:
-        inputs["mesh_size"] = float(geometry.mesh_size).hex()
+        inputs["mesh_size"] = float(geometry.mesh_size or 0.0).hex()
     described = {
         "shape": geometry.shape,
         "inputs": inputs,
         "volume": volume,
         "mesher": MESHER_VERSION,
-        "packages": {name: version(name) for name in _packages(geometry)},
+        "packages": {name: version(name) for name in packages},
     }
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()
-
-
-def _packages(geometry: Geometry) -> tuple[str, ...]:
-    """The distributions whose version can change the mesh."""
-    if geometry.has_own_tetrahedra:
-        return ("gmsh", "meshio")
-    if geometry.shape == FILE or SHAPES[geometry.shape].of_sphere is not None:
-        return ("gmsh", "pyacvd", "vtk")
-    return ("gmsh",)
 
 
 def file_digest(path: Path) -> str:
@@ -472,20 +427,21 @@ def _smooth_step(x: Array, start: float, end: float) -> Array:
     return step
 
 
-def _extents(body: Geometry) -> tuple[float, float, float]:
-    a, b, c = (share * body.number("size") for share in _EXTENTS)
-    return a, b, c
+class Organ(SphereImage):
+    """a procedural liver"""
 
+    shape: Literal["organ"]
+    size: Length = Field(description="its largest extent")
 
-register(
-    BodyShape(
-        name="organ",
-        version="1",
-        parameters={"size": ShapeKey("its largest extent")},
-        extents=_extents,
-        area_and_volume=lambda body: (_AREA * body.number("size") ** 2, _VOLUME * body.number("size") ** 3),
-        of_sphere=liver_points,
-    )
-)
+    def extents(self) -> Extents:
+        a, b, c = (share * self.size for share in _EXTENTS)
+        return a, b, c
+
+    def area_and_volume(self) -> tuple[float, float]:
+        return _AREA * self.size**2, _VOLUME * self.size**3
+
+    def of_sphere(self, sphere: Array) -> Array:
+        return liver_points(sphere)
+
 
 load_all("vdmbench.study", "shape_")  # last: they use what is above

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, NamedTuple
 
-from .checks import fits_kind, validate
+from .checks import validate
 from .errors import MOST_TOLD, Finding, Loc, Source, unknown
 from .fields import NEVER_AN_INPUT, EntryError, Target, entries, targets, value_at
 from .files import GEOMETRY_PATH, short_path
@@ -97,13 +97,12 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
         return [], []
     given = {k: v for k, v in sweep.items() if k not in OWN_KEYS}
     known = targets(data) if given else {}  # slow, and every case of a sweep is asked
-    fitting = [name for name, target in known.items() if fits_kind(data, target.loc)]
     sampled = sweep.get("mode") == "latin-hypercube"
     axes: dict[str, Axis] = {}
     findings: list[Finding] = []
     for key, loc, value in entries(given, known, {"start", "stop"}, ("sweep",)):
         if key not in known:
-            findings.append((loc, _unknown_key(key, fitting)))
+            findings.append((loc, _unknown_key(key, list(known))))
         elif key in axes:
             findings.append((loc, "is swept twice"))
         else:
@@ -447,7 +446,11 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
     """The inputs in a study's data, with all defaults, and what is wrong with them."""
     if not isinstance(data.get("inputs"), Mapping):
         return [], []
-    known = {key: target for key, target in targets(data).items() if _can_vary(data, target)}
+    known = {
+        key: target
+        for key, target in targets(data).items()
+        if target.si is not None and target.loc[0] not in NEVER_AN_INPUT
+    }
     found: dict[str, Input] = {}
     findings: list[Finding] = []
     for key, loc, entry in _entries(data, known):
@@ -471,10 +474,6 @@ def as_written(data: Mapping[str, Any]) -> dict[str, Any]:
     for one in read_inputs(data)[0]:
         own[one.key] = {"sd": one.sd} if one.span is None else {"range": list(one.span)}
     return own
-
-
-def _can_vary(data: Mapping[str, Any], target: Target) -> bool:
-    return target.si is not None and target.loc[0] not in NEVER_AN_INPUT and fits_kind(data, target.loc)
 
 
 def _entries(data: Mapping[str, Any], known: Collection[str]) -> Iterator[tuple[str, Loc, Any]]:

@@ -13,7 +13,7 @@ from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
 from ..measures.pushed import along_movement, inward, resultant
-from ..study.schema import Constraint
+from ..study.loads import Constraint
 from .acceptance import BEYOND, OPEN, WITHIN, States
 
 _SAME = 1e-9  # of a load: the difference of two that are one

@@ -81,7 +81,7 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
             "inputs": own | _beside(study.without(dict(inputs), Enters.MESH)),
             "mesh": mesh_key,
             "models": {name: models.find(name)[0].version for name in study.study.models},
-            "kinds": [KINDS[part.kind].versions(part.model_dump()) for part in study.constraints],
+            "kinds": [part.versions(part.model_dump()) for part in study.constraints],
             "reference": study.study.reference,
         }
         | _where_there_are(
@@ -120,7 +120,7 @@ def wanted(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None)
 def _is_of_any_modulus(study: Study, name: str) -> bool:
     """Whether a model's set-up serves the study's body with any Young's modulus: nothing else in it has one."""
     model, solver = models.find(name)
-    supported = any(KINDS[part.kind].supports for part in study.constraints)
+    supported = any(part.supports for part in study.constraints)
     inside = bool(study.inclusions) and name not in study.study.homogeneous
     return solver in model.of_any_modulus and not supported and not inside
 
@@ -247,7 +247,7 @@ def _supports(inputs: Mapping[str, Any]) -> list[dict[str, Any]]:
     for part in inputs["constraints"]:
         kind = KINDS.get(part["kind"])
         if kind is not None and kind.supports:
-            own = {key: part.get(key) for key in ("kind", *kind.keys)}
+            own = {key: part.get(key) for key in ("kind", *kind.own_keys())}
             found.append(own | _held(part, inputs) | {"versions": kind.versions(part)})
     return found
 

@@ -16,17 +16,16 @@ from .. import models
 from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path
 from ..machine.sealed import is_sound
-from ..study.config import ResolvedCase, geometry_error, geometry_of
+from ..study.config import ResolvedCase, geometry_error
 from ..study.errors import MeshError
 from ..study.registry import Size
 from ..study.schema import Study
 from ..study.shapes import (
-    DISTORTIONS,
+    FileBody,
     Geometry,
-    area_and_volume,
+    Shape,
     check_node_budget,
     expected_size,
-    extents,
     file_digest,
     geometry_key,
 )
@@ -111,10 +110,10 @@ class PlannedMesh:
     def label(self) -> str:
         """What to call it: by its file or shape, and the size of its elements where it is made to one."""
         geometry = self.geometry
-        name = geometry.path.name if geometry.shape == "file" else geometry.shape
+        name = geometry.path.name if isinstance(geometry, FileBody) else geometry.shape
         if not geometry.has_own_tetrahedra:
-            return f"mesh of {name} at {geometry.mesh_size * 1e3:.3g} mm"
-        return f"mesh of {name}" + ("" if set(DISTORTIONS) & geometry.parameters.keys() else " as it is")
+            return f"mesh of {name} at {(geometry.mesh_size or 0.0) * 1e3:.3g} mm"
+        return f"mesh of {name}" + ("" if geometry.slivers or geometry.perturbation else " as it is")
 
     @cached_property
     def expected(self) -> Expected:
@@ -126,11 +125,13 @@ class PlannedMesh:
             a file that cannot be used.
         """
         geometry = self.geometry
-        if geometry.shape != "file":
-            area, inside = area_and_volume(geometry)
-            high = np.array(extents(geometry)) / 2.0
+        mesh_size = geometry.mesh_size or 0.0
+        if isinstance(geometry, Shape):
+            area, inside = geometry.area_and_volume()
+            high = np.array(geometry.extents()) / 2.0
             centre = np.zeros(3)
         else:
+            assert isinstance(geometry, FileBody)
             from ..body.imported import imported_surface, imported_tetrahedra, named
 
             with named(geometry):
@@ -140,8 +141,8 @@ class PlannedMesh:
                 surface = imported_surface(geometry, volume=self.volume)
             area, inside = surface.area, surface.volume
             high, centre = surface.points.max(axis=0), surface.centre
-        size = Size(*expected_size(area, inside if self.volume else 0.0, geometry.mesh_size))
-        return Expected(size, centre - high, centre + high, geometry.mesh_size, centre)
+        size = Size(*expected_size(area, inside if self.volume else 0.0, mesh_size))
+        return Expected(size, centre - high, centre + high, mesh_size, centre)
 
 
 @dataclass(frozen=True)
@@ -233,7 +234,7 @@ def make_plan(
     found: dict[str, PlannedMesh] = {}  # by what is asked for: a file is read for its key, once for all cases
     planned = []
     for case in cases:
-        geometry, volume = geometry_of(case.study), needs_volume(case.study)
+        geometry, volume = case.study.geometry, needs_volume(case.study)
         asked = f"{geometry!r} {volume}"
         if asked not in found:
             try:
@@ -246,10 +247,10 @@ def make_plan(
 
 
 def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
-    if geometry.shape != "file":  # whose size is known only once it is read
-        area, inside = area_and_volume(geometry)
+    if isinstance(geometry, Shape):  # the size of a file is known only once it is read
+        area, inside = geometry.area_and_volume()
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size)
-    file_hash = file_digest(geometry.path) if geometry.shape == "file" else ""
+    file_hash = file_digest(geometry.path) if isinstance(geometry, FileBody) else ""
     return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume, file_hash)
 
 

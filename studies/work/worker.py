@@ -26,7 +26,6 @@ from ..measures.reference import level_scene, restricted
 from ..models import Prepared
 from ..scene.scene import Scene, build_scene
 from ..store.run_directory import add_times
-from ..study.config import geometry_of
 from ..study.errors import InputError, install_line
 from ..study.schema import Study
 from .cache import answer_path, limits_path, read_answer, steps_of, write_answer, write_limits
@@ -216,7 +215,7 @@ _KINDS: dict[str, Callable[[Payload, str], Iterator[Said]]] = {
 
 
 def _geometry(payload: Payload) -> tuple[Any, Path]:
-    return geometry_of(Study.model_validate(payload["study"])), Path(payload["cache"])
+    return Study.model_validate(payload["study"]).geometry, Path(payload["cache"])
 
 
 def _meshes(payload: Payload, level: int) -> Hierarchy:

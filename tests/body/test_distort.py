@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.bodies import shaped
 from vdmbench.body.distort import SLIVER_SHARE, aspect_ratios, distorted
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.surface_measures import facet_area_vectors
 from vdmbench.body.topology import tetrahedron_sicn, tetrahedron_volumes
 from vdmbench.study.errors import MeshError
-from vdmbench.study.shapes import Geometry, geometry_key
+from vdmbench.study.shapes import geometry_key
 
 
 def body(*, volume: bool, **distortions: float) -> Mesh:
     parameters = {"semi_axes": (0.06, 0.045, 0.02), **distortions}
-    return build_mesh(Geometry("ellipsoid", 0.008, parameters), volume=volume)
+    return build_mesh(shaped("ellipsoid", 0.008, parameters), volume=volume)
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["surface", "tetrahedra"])
@@ -88,7 +89,7 @@ def test_a_distorted_mesh_has_a_key_of_its_own() -> None:
         {"perturbation": 0.1},
         {"perturbation": 0.1, "seed": 1},
     ):
-        geometry = Geometry("sphere", 0.01, {"radius": 0.05, **distortions})
+        geometry = shaped("sphere", 0.01, {"radius": 0.05, **distortions})
         keys.add(geometry_key(geometry, volume=True))
     assert len(keys) == 5
 

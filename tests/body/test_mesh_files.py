@@ -18,11 +18,11 @@ import pyvista as pv
 from numpy.testing import assert_allclose, assert_array_equal
 
 from solver_common.arrays import Array, Index
+from tests.bodies import shaped
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.topology import tetrahedron_volumes
 from vdmbench.study.errors import MeshError
-from vdmbench.study.shapes import Geometry
 from vdmbench.work.plan import PlannedMesh
 
 SUFFIXES = ["a.stl", "b.stl", "a.obj", "a.ply", "b.ply", "a.vtp", "b.vtp"]
@@ -44,11 +44,11 @@ pytestmark = pytest.mark.usefixtures("read_here")
 
 @pytest.fixture(scope="module")
 def ball() -> Mesh:
-    return build_mesh(Geometry("sphere", 0.02, {"radius": 0.05}))
+    return build_mesh(shaped("sphere", 0.02, {"radius": 0.05}))
 
 
 def from_file(path: Path, **parameters: float) -> Mesh:
-    return build_mesh(Geometry("file", 0.025, {"path": str(path), **parameters}), volume=False)
+    return build_mesh(shaped("file", 0.025, {"path": str(path), **parameters}), volume=False)
 
 
 def refused(path: Path, words: str, **parameters: float) -> None:
@@ -137,7 +137,7 @@ def test_the_size_of_a_mesh_is_known_before_it_is_made(tmp_path: Path, ball: Mes
     write_surface(tmp_path / "ball.stl", ball.surface_points, ball.triangles)
     write_msh(tmp_path / "ball.msh", ball.points, {4: ball.tetrahedra})
     for volume in (True, False):
-        geometry = Geometry("file", 0.012, {"path": str(tmp_path / f"ball{suffix}")})
+        geometry = shaped("file", 0.012, {"path": str(tmp_path / f"ball{suffix}")})
         mesh = build_mesh(geometry, volume=volume)
         counted = [len(mesh.surface_nodes), len(mesh.tetrahedra)]
         expected = PlannedMesh("", geometry, volume).expected
@@ -292,16 +292,16 @@ def test_holes_and_pieces_are_told_with_place_and_size_and_repaired_on_request(
 def test_mesh_size_beyond_the_body_and_over_the_budget(tmp_path: Path, ball: Mesh, name: str) -> None:
     parameters = {"path": str(write_named(tmp_path / name, ball))}
     with pytest.raises(MeshError, match="too large for a body whose smallest extent") as large:
-        build_mesh(Geometry("file", 0.06, parameters))
+        build_mesh(shaped("file", 0.06, parameters))
     unit = f"the body is {np.ptp(ball.surface_points, axis=0).max():.3g} m across: "
     asked = f"{unit}if the file is not in metres give scale or size, else use a larger mesh_size"
     budget = "would give about .* nodes, more than the 2000000 allowed; "
     with pytest.raises(MeshError, match=f"{budget}{asked}$") as small:
-        build_mesh(Geometry("file", 1e-5, parameters))
+        build_mesh(shaped("file", 1e-5, parameters))
     with pytest.raises(
         MeshError, match=f"{budget}{unit}if that is wrong correct scale, else use a larger mesh_size$"
     ):
-        build_mesh(Geometry("file", 1e-5, {**parameters, "scale": 1.0}))
+        build_mesh(shaped("file", 1e-5, {**parameters, "scale": 1.0}))
     assert large.value.key == small.value.key == "mesh_size", "the file is sound"
 
 
@@ -398,7 +398,7 @@ def test_physical_groups_become_masks_of_surface_nodes(
 ) -> None:
     path = tmp_path / "boxes.msh"
     tetrahedra = two_boxes(path, version, binary, save_all)
-    mesh = build_mesh(Geometry("file", 0.01, {"path": str(path), "scale": 0.1}))
+    mesh = build_mesh(shaped("file", 0.01, {"path": str(path), "scale": 0.1}))
     assert len(mesh.tetrahedra) == tetrahedra
     assert_allclose(tetrahedron_volumes(mesh.points, mesh.tetrahedra).sum(), 2e-3, rtol=1e-12, atol=0)
     x, y, z = 10 * mesh.surface_points.T
@@ -414,7 +414,7 @@ def test_physical_groups_become_masks_of_surface_nodes(
     assert set(mesh.groups) == set(expected)
     for name, mask in expected.items():
         assert_array_equal(mesh.groups[name], mask, err_msg=name)
-    surface = build_mesh(Geometry("file", 0.01, {"path": str(path), "scale": 0.1}), volume=False)
+    surface = build_mesh(shaped("file", 0.01, {"path": str(path), "scale": 0.1}), volume=False)
     assert_array_equal(surface.surface_points, mesh.surface_points)
     assert_array_equal(surface.groups["left side"], mesh.groups["left side"])
 
@@ -510,7 +510,7 @@ def test_msh_sections(tmp_path: Path, ball: Mesh, change: tuple[bytes, bytes]) -
 
 
 def test_too_many_nodes_in_a_file(tmp_path: Path, ball: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
-    geometry = Geometry("file", 0.01, {"path": str(write_named(tmp_path / "a.vtu", ball))})
+    geometry = shaped("file", 0.01, {"path": str(write_named(tmp_path / "a.vtu", ball))})
     assert build_mesh(replace(geometry, mesh_size=5.0)).content_hash == build_mesh(geometry).content_hash
     monkeypatch.setattr("vdmbench.body.imported.MAX_NODES", 50)
     with pytest.raises(MeshError, match=f"has {len(ball.points)} nodes, more than the 50 allowed"):

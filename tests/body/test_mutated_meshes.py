@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.bodies import shaped
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.read_apart import read_clean
 from vdmbench.body.repair import CleanTetrahedra
 from vdmbench.body.topology import mesh_from_tetrahedra, mesh_from_triangles
 from vdmbench.study.errors import MeshError
-from vdmbench.study.shapes import Geometry
 
 from .test_mesh_files import SUFFIXES, VOLUMES, write_named
 
@@ -27,7 +27,7 @@ WORDS = (b"-1", b"0", b"9999999999", b"nan", b"1e999", b"4294967296", b"-9223372
 
 @pytest.fixture(scope="module")
 def ball() -> Mesh:
-    return build_mesh(Geometry("sphere", 0.025, {"radius": 0.05}))
+    return build_mesh(shaped("sphere", 0.025, {"radius": 0.05}))
 
 
 def changed(data: bytes, rng: np.random.Generator) -> bytes:

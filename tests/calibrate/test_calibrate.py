@@ -39,7 +39,7 @@ from vdmbench.measures.case import Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_case
-from vdmbench.study.config import expand, geometry_of, load_study
+from vdmbench.study.config import expand, load_study
 from vdmbench.work.plan import Plan, make_plan
 
 STUDY = """
@@ -79,7 +79,7 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> list[Sample]:
     directory = tmp_path_factory.mktemp("fit")
     (directory / "study.toml").write_text(STUDY)
     cases = expand(load_study(directory / "study.toml"))
-    mesh = mesh_from_cache(geometry_of(cases[0].study), directory, volume=False)
+    mesh = mesh_from_cache(cases[0].study.geometry, directory, volume=False)
     return [
         Sample(
             case.label,

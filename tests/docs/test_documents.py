@@ -17,7 +17,7 @@ import pyvista
 from tests.command import vdmbench
 from tools import documents, site
 from vdmbench.body.geometry import build_mesh
-from vdmbench.study.config import expand, geometry_of, load_study
+from vdmbench.study.config import expand, load_study
 
 TEXT = documents.README.read_text()
 DOCS = documents.ROOT / "docs"
@@ -101,7 +101,7 @@ def test_the_front_page_is_short() -> None:
 def test_the_tutorial(tmp_path: Path) -> None:
     """On the procedural organ, written as a surface."""
     study = load_study(documents.ROOT / "studies" / "cases" / "liver-palpation.toml")
-    mesh = build_mesh(geometry_of(expand(study)[0].study))
+    mesh = build_mesh(expand(study)[0].study.geometry)
     faces = np.column_stack([np.full(len(mesh.triangles), 3), mesh.triangles])
     pyvista.PolyData(mesh.surface_points, faces).save(tmp_path / "liver.stl")
     tutorial = DOCS / "tutorial.md"

@@ -24,7 +24,6 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.measures.metrics import VECTOR
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.registry import MODELS, is_linear
 from vdmbench.study.schema import Study
 
@@ -50,7 +49,7 @@ STUDY: dict[str, Any] = {
 def scene() -> Scene:
     """A bar that is clamped, moved at its other end, and weighs; half and whole."""
     study = Study.model_validate(STUDY)
-    return build_scene(study, build_mesh(geometry_of(study)))
+    return build_scene(study, build_mesh(study.geometry))
 
 
 def example(wheel: str, module: str) -> Iterator[Any]:

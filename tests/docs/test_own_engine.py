@@ -16,7 +16,7 @@ from vdmbench.cli.arguments import parse
 from vdmbench.cli.verb_export import run
 from vdmbench.measures.foreign import read_foreign
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.config import expand, geometry_of, load_study
+from vdmbench.study.config import expand, load_study
 
 ENGINE = Path(__file__).parents[2] / "docs" / "examples" / "twenty_lines.py"
 TOOL = """
@@ -39,7 +39,7 @@ def test_it_has_twenty_lines_and_says_what_ours_says(tmp_path: Path, monkeypatch
     assert run(parse(["export", "small.toml", "--to", "out", "--cache", "cache", "--json"])) == 0
     runpy.run_path(str(ENGINE))
     (case,) = expand(load_study(Path("small.toml")))
-    mesh = mesh_from_cache(geometry_of(case.study), Path("cache"))
+    mesh = mesh_from_cache(case.study.geometry, Path("cache"))
     theirs = read_foreign(Path("theirs.csv"), mesh)
     ours = models.run_model(build_scene(case.study, mesh), "fem-p1").displacement[-1]
     assert theirs.exact == 1.0

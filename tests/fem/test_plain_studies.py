@@ -15,7 +15,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import expand, geometry_of
+from vdmbench.study.config import expand
 from vdmbench.study.errors import InputError
 from vdmbench.study.registry import split
 from vdmbench.study.schema import Study
@@ -53,7 +53,7 @@ def coarse_scene(study: Study, size: float, meshes: dict[str, Mesh]) -> Scene:
         coarse = study.model_copy(update={"geometry": geometry})
         try:
             if repr(geometry) not in meshes:
-                meshes[repr(geometry)] = build_mesh(geometry_of(coarse))
+                meshes[repr(geometry)] = build_mesh(coarse.geometry)
             scene = build_scene(coarse, meshes[repr(geometry)])
         except InputError:  # too coarse for the body, or a region selects no node
             continue

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from tests.bodies import shaped
 from tests.comparing import compare
 from vdmbench.body import surface_measures
 from vdmbench.body.geometry import build_mesh
@@ -18,9 +19,7 @@ from vdmbench.measures import metrics
 from vdmbench.measures.metrics import METRICS, History, evaluate, evaluate_all
 from vdmbench.models import run_model
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study
-from vdmbench.study.shapes import Geometry
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}
@@ -70,9 +69,9 @@ def test_surface_measures_of_the_octahedron(surface: Surface) -> None:
 def test_the_smallest_extent_turns_with_the_body(surface: Surface) -> None:
     """Of a slab its thickness, of an octahedron the distance of opposite facets, whichever way they lie."""
     turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
-    slab = build_mesh(Geometry("box", 0.015, {"size": (0.1, 0.08, 0.04)}))
+    slab = build_mesh(shaped("box", 0.015, {"size": (0.1, 0.08, 0.04)}))
     flat = surface.points * [0.03, 0.02, 0.01]
-    ellipsoid = build_mesh(Geometry("ellipsoid", 0.008, {"semi_axes": (0.06, 0.04, 0.02)}))
+    ellipsoid = build_mesh(shaped("ellipsoid", 0.008, {"semi_axes": (0.06, 0.04, 0.02)}))
     for points, triangles, extent, near in (
         (slab.surface_points, slab.triangles, 0.04, 1e-12),
         (surface.points, surface.triangles, 2 / np.sqrt(3), 1e-12),
@@ -329,7 +328,7 @@ def test_of_the_constant_loads_only_a_weight_moves_a_body(
             "environment": {"pressure": environment},
         }
     )
-    scene = build_scene(study, build_mesh(geometry_of(study)))
+    scene = build_scene(study, build_mesh(study.geometry))
     results = {name: run_model(scene, name) for name in study.study.models}
     found = compare(scene, results, "fem-linear")["vdm-vector"]["indentation_force_error"].values
     loaded = Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact, scene.contact_force)

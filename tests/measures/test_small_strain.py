@@ -22,7 +22,7 @@ from vdmbench.measures.reference import level_scene
 from vdmbench.models.elements import fem_loads
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, SurfaceLoad, build_scene
-from vdmbench.study.config import expand, geometry_of, load_study, raised, value_and_unit
+from vdmbench.study.config import expand, load_study, raised, value_and_unit
 from vdmbench.study.errors import StudyError
 from vdmbench.study.schema import Study
 from vdmbench.work import small_strain
@@ -78,7 +78,7 @@ def found(tmp_path_factory: pytest.TempPathFactory, runs: Runs) -> Found:
     path: Path = directory / "study.toml"
     path.write_text(STUDY)
     study = load_study(path)
-    scene = build_scene(study, mesh_from_cache(geometry_of(study), directory / "cache", volume=True))
+    scene = build_scene(study, mesh_from_cache(study.geometry, directory / "cache", volume=True))
     answer = models.Prepared.answer
 
     def watched(self: models.Prepared, loads: Sequence[SurfaceLoad]) -> ModelResult:
@@ -225,7 +225,7 @@ def limits_along(directory: Path, along: str, more: str = "") -> tuple[Study, Sc
     path.write_text(head.replace("[regions]", "density = 1000\n[regions]") + f"{more}[limits]{limits}")
     path.write_text(path.read_text().replace("constraints.tool.pressure", along))
     study = load_study(path)
-    scene = build_scene(study, mesh_from_cache(geometry_of(study), directory / "cache", volume=True))
+    scene = build_scene(study, mesh_from_cache(study.geometry, directory / "cache", volume=True))
     return study, scene, small_strain_limits(study, scene.mesh)
 
 
@@ -308,7 +308,7 @@ def test_a_raised_study_has_one_load_step_at_the_new_value(found: Found) -> None
 def test_three_mesh_levels_agree_on_the_strain_of_the_axis(name: str) -> None:
     """To 5 % on every shipped study that searches limits, where the largest of any point differs by more."""
     study = expand(load_study(CASES / f"{name}.toml"))[0].study
-    mesh = build_mesh(geometry_of(study))
+    mesh = build_mesh(study.geometry)
     strains = []
     for level in range(3):
         scene = level_scene(study, refined(mesh, level)) if level else build_scene(study, mesh)

@@ -18,7 +18,7 @@ from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.metrics import METRICS, History
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.config import expand, geometry_of
+from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
 from vdmbench.work.explain import refused
 from vdmbench.work.nodes import bodies
@@ -42,7 +42,7 @@ STUDY: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def mesh() -> Mesh:
-    return build_mesh(geometry_of(Study.model_validate(STUDY)))
+    return build_mesh(Study.model_validate(STUDY).geometry)
 
 
 def run(mesh: Mesh, model: str, anisotropy: dict[str, Any] | None) -> ModelResult:

@@ -21,7 +21,6 @@ from vdmbench.models.coarse import (
     surface_interpolation,
 )
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study
 
 STUDY = {
@@ -42,7 +41,7 @@ STUDY = {
 
 def _scene(**changes: object) -> Scene:
     study = Study.model_validate({**STUDY, **changes})
-    return build_scene(study, build_mesh(geometry_of(study)))
+    return build_scene(study, build_mesh(study.geometry))
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,6 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import facet_area_vectors
 from vdmbench.models.frames import contact_frame
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study
 
 STUDY = {
@@ -40,7 +39,7 @@ STUDY = {
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     study = Study.model_validate(STUDY)
-    return build_scene(study, build_mesh(geometry_of(study)))
+    return build_scene(study, build_mesh(study.geometry))
 
 
 def problem_of(scene: Scene, name: str) -> models.PressureProblem | None:
@@ -110,7 +109,7 @@ def test_columns_of_elements_are_shortened(name: str) -> None:
             "regions": STUDY["regions"] | {"finger": {"ball": {"center": [0.0, 0.0, 0.12], "radius": 0.03}}},
         }
     )
-    scene = build_scene(study, build_mesh(geometry_of(study)))
+    scene = build_scene(study, build_mesh(study.geometry))
     problem = problem_of(scene, name)
     assert problem is not None
     frame = contact_frame(problem, scene)

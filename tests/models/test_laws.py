@@ -13,7 +13,6 @@ from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import LAWS, Study, Tissue
 from vdmbench.work.keys import case_hash, wanted
@@ -53,7 +52,7 @@ def study(law: dict[str, Any] | None = None, **tables: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def box() -> Mesh:
-    return build_mesh(geometry_of(study()))
+    return build_mesh(study().geometry)
 
 
 def pressed(box: Mesh, law: dict[str, Any]) -> np.ndarray:

@@ -15,7 +15,6 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import Surface, relative_l2
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.registry import DISPLACEMENT_ELEMENTS, Family, family_of, is_linear, split
 from vdmbench.study.schema import Study, VdmTable
 
@@ -38,7 +37,7 @@ STUDY = {
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     study = Study.model_validate(STUDY)
-    return build_scene(study, build_mesh(geometry_of(study)))
+    return build_scene(study, build_mesh(study.geometry))
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +105,7 @@ def test_parameters_come_from_the_study_the_model_or_the_rule() -> None:
             "models": {"vdm-paper:lu": {"bulk_modulus": 500.0, "penalty": 1e9}},
         }
     )
-    scene = build_scene(study, build_mesh(geometry_of(study)))
+    scene = build_scene(study, build_mesh(study.geometry))
     plain, own = (models.run_model(scene, name) for name in ("vdm-paper", "vdm-paper:lu"))
     assert plain.parameters["bulk_modulus"] == 300.0
     assert own.parameters["bulk_modulus"] == 500.0
@@ -159,7 +158,7 @@ def test_a_model_reads_the_keys_that_change_its_answer_and_no_others(name: str) 
     study = Study.model_validate(
         STUDY | {"geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.012}}
     )
-    scene = build_scene(study, build_mesh(geometry_of(study)))
+    scene = build_scene(study, build_mesh(study.geometry))
     assert len(scene.fixed) > 200, "enough for a skin on a coarse body"
     model = models.all_models()[name]
     asked_for = {key: f"{name}:{SOLVER[key]}" if SOLVER.get(key) in model.solvers else name for key in VALUES}
@@ -197,7 +196,7 @@ def test_a_history_equals_its_steps_one_by_one(gravity: dict[str, object] | None
         }
         tables |= {"gravity": gravity} if gravity else {}
         study = Study.model_validate(tables)
-        mesh = build_mesh(geometry_of(study))
+        mesh = build_mesh(study.geometry)
         together = models.run_model(build_scene(study, mesh), "fem-linear")
         for step, factor in enumerate((0.3, -1.0, 2.0)):
             alone = Study.model_validate(tables | {"load": {"factors": [factor]}})

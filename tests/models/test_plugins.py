@@ -18,7 +18,7 @@ from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.models.frames import frame_times
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import expand, geometry_of, load_study
+from vdmbench.study.config import expand, load_study
 from vdmbench.study.registry import MODELS
 
 Change = Callable[[Scene, dict[str, Any]], object]
@@ -58,7 +58,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     path = tmp_path_factory.mktemp("study") / "small.toml"
     path.write_text(SMALL_STUDY)
     study = expand(load_study(path))[0].study
-    return build_scene(study, build_mesh(geometry_of(study)))
+    return build_scene(study, build_mesh(study.geometry))
 
 
 @pytest.fixture(autouse=True)

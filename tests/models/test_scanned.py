@@ -15,7 +15,6 @@ from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.models.scanned import rest_shape
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study
 from vdmbench.work.keys import wanted
 
@@ -41,7 +40,7 @@ SCANNED = Study.model_validate(STUDY | {"gravity": {"acceleration": WEIGHT, "sca
 @pytest.fixture(scope="module")
 def at_rest() -> Scene:
     study = Study.model_validate(STUDY)
-    return build_scene(study, build_mesh(geometry_of(study)))
+    return build_scene(study, build_mesh(study.geometry))
 
 
 def _scan(at_rest: Scene, points: Array) -> Scene:

@@ -22,7 +22,7 @@ from vdmbench.measures.case import Run
 from vdmbench.models import run_model
 from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_case, read_run
-from vdmbench.study.config import expand, geometry_of, load_study
+from vdmbench.study.config import expand, load_study
 from vdmbench.work.plan import make_plan
 
 ROOT = Path(__file__).parents[2]
@@ -75,7 +75,7 @@ def test_a_model_made_worse_by_a_tenth_turns_the_gate_red(
 def test_rounding_is_far_within_the_tolerance() -> None:
     """Nodes, facets and tetrahedra in another order: the same sums, rounded otherwise, as on another machine."""
     study = load_study(ROOT / "studies" / "cases" / "regression.toml")
-    mesh = build_mesh(geometry_of(study))
+    mesh = build_mesh(study.geometry)
     names = [name for name in study.study.models if name != "fem-coarse"]  # which meshes the body by itself
     first, other = (
         compare(scene, {name: run_model(scene, name) for name in names}, study.study.reference)

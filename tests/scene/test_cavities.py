@@ -10,6 +10,7 @@ import pytest
 import pyvista as pv
 from numpy.testing import assert_array_equal
 
+from tests.bodies import shaped
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
@@ -17,11 +18,9 @@ from vdmbench.body.mesh_file import write_body_vtu
 from vdmbench.body.surface_measures import enclosed_volume
 from vdmbench.scene.regions import select
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.errors import MeshError
 from vdmbench.study.registry import lacks
 from vdmbench.study.schema import Region, Study
-from vdmbench.study.shapes import Geometry
 
 YOUNG, BED, PUSH = 5e3, 1e5, 1.0  # Pa, Pa/m, Pa
 BALL: dict[str, Any] = {"shape": "hollow-sphere", "radius": 0.05, "cavity_radius": 0.025, "mesh_size": 0.01}
@@ -44,7 +43,7 @@ def study(cavities: str, nu: float, pressed: str = "wall", **tables: Any) -> Stu
 
 @pytest.fixture(scope="module")
 def ball() -> Mesh:
-    return build_mesh(geometry_of(study("empty", 0.3)))
+    return build_mesh(study("empty", 0.3).geometry)
 
 
 def lame(mesh: Mesh, nu: float, pressed: str, filled: bool) -> float:
@@ -123,13 +122,13 @@ def test_files_tell_what_their_cavities_hold(ball: Mesh, tmp_path: Path) -> None
     for name in ("a.vtu", "a.stl"):
         given: dict[str, Any] = {"path": str(tmp_path / name)}
         with pytest.raises(MeshError, match=r'in 2 places .* cavities = "empty" or "fluid"'):
-            build_mesh(Geometry("file", 0.012, given))
-        mesh = build_mesh(Geometry("file", 0.012, given | {"cavities": "fluid"}))
+            build_mesh(shaped("file", 0.012, given))
+        mesh = build_mesh(shaped("file", 0.012, given | {"cavities": "fluid"}))
         assert mesh.shells.max() == 1
         assert mesh.quality["volume"] == pytest.approx(ball.quality["volume"], rel=0.02)
         assert np.linalg.norm(mesh.surface_points[mesh.in_cavity], axis=1).max() < 0.026
     with pytest.raises(MeshError, match="has no cavity"):
-        build_mesh(Geometry("file", 0.012, {"path": str(tmp_path / "solid.stl"), "cavities": "empty"}))
+        build_mesh(shaped("file", 0.012, {"path": str(tmp_path / "solid.stl"), "cavities": "empty"}))
 
 
 def test_regions_lie_on_the_outer_surface_or_in_the_cavity(ball: Mesh) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from tests.bodies import shaped
 from tests.command import write_study
 from tests.work.shared_work import TABLES, plan_of, run
 from vdmbench.body.geometry import build_mesh
@@ -21,7 +22,6 @@ from vdmbench.scene.regions import measured_on
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import StudyError, load_study
 from vdmbench.study.schema import Study
-from vdmbench.study.shapes import Geometry
 
 PLACE = np.array([-0.4, 0.3, 1.5])  # m, as in a scan of a whole body
 FROM_MIDDLE: dict[str, Any] = {
@@ -43,7 +43,7 @@ IN_FILE: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def ball() -> Mesh:
-    return build_mesh(Geometry("sphere", 0.02, {"radius": 0.05}))
+    return build_mesh(shaped("sphere", 0.02, {"radius": 0.05}))
 
 
 def _scan(path: Path, ball: Mesh, place: np.ndarray) -> Path:
@@ -63,7 +63,7 @@ def _study(path: Path, coordinates: str, regions: dict[str, Any]) -> Study:
 
 def test_the_same_regions_by_the_file_and_by_the_middle(tmp_path: Path, ball: Mesh) -> None:
     path = _scan(tmp_path / "scan.vtu", ball, PLACE)
-    mesh = build_mesh(Geometry("file", 0.0, {"path": str(path), "scale": 1e-3}))
+    mesh = build_mesh(shaped("file", 0.0, {"path": str(path), "scale": 1e-3}))
     corners = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
     assert_allclose(np.mean(corners, axis=0), PLACE, rtol=0, atol=1e-12)
     by_file, by_middle = (_study(path, *told) for told in (("file", IN_FILE), ("centred", FROM_MIDDLE)))

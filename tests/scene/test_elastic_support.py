@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from solver_common.quadrature import facet_quadrature
+from tests.bodies import shaped
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
@@ -17,10 +18,9 @@ from vdmbench.body.surface_measures import facet_area_vectors, facet_areas
 from vdmbench.measures.reference import level_scene
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
-from vdmbench.study.config import geometry_of, raised
+from vdmbench.study.config import raised
 from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import Study
-from vdmbench.study.shapes import Geometry
 from vdmbench.work.keys import wanted
 
 FORCE = 0.02  # N: moves the top by a thousandth of its height
@@ -59,7 +59,7 @@ def study(*parts: dict[str, Any], **tables: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def box() -> Mesh:
-    return build_mesh(geometry_of(study()))
+    return build_mesh(study().geometry)
 
 
 BOWL: dict[str, Any] = {
@@ -70,7 +70,7 @@ BOWL: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def ball() -> Mesh:
-    return build_mesh(Geometry("sphere", 0.02, {"radius": 0.05}))
+    return build_mesh(shaped("sphere", 0.02, {"radius": 0.05}))
 
 
 def answer(mesh: Mesh, name: str, *parts: dict[str, Any], **tables: Any) -> ModelResult:

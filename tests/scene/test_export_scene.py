@@ -23,7 +23,6 @@ from vdmbench.cli.output import UsageError
 from vdmbench.machine.files import whole_directory
 from vdmbench.scene.export import Handout, write_scene
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study
 
 STUDY: dict[str, Any] = {
@@ -52,7 +51,7 @@ SPRINGS = {"kind": "elastic", "region": "back", "stiffness": 1e5}
 
 def handed(**tables: Any) -> Handout:
     study = Study.model_validate(STUDY | tables)
-    scene = build_scene(study, build_mesh(geometry_of(study)))
+    scene = build_scene(study, build_mesh(study.geometry))
     return Handout(scene, scene.load(2.0), "ball -- a case", 2.0)
 
 

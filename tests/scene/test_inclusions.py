@@ -23,7 +23,6 @@ from vdmbench.report.section_scene import outlines_of
 from vdmbench.scene.inclusions import moduli
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study
 from vdmbench.work.keys import case_hash, wanted
 
@@ -89,7 +88,7 @@ def test_the_coarse_mesh_has_inclusions_of_its_own() -> None:
         "geometry": BASE["geometry"] | {"mesh_size": 0.2},
         "tissue": {"youngs_modulus": 1000.0, "poisson_ratio": 0.4},
     }
-    mesh = build_mesh(geometry_of(study(**tables)))
+    mesh = build_mesh(study(**tables).geometry)
     stiff = [{"name": "lump", "ball": {"center": [0, 0, 0.1], "radius": 0.35}, "youngs_modulus": 1e5}]
     lower = {
         name: [
@@ -116,7 +115,7 @@ WITH_LUMPS: dict[str, Any] = {
 
 def test_boundary_elements_know_lumps_nested_and_apart() -> None:
     """Within 5 % of elements on the same tetrahedra, where without the lumps they are a quarter off."""
-    mesh = build_mesh(geometry_of(study(**WITH_LUMPS)))
+    mesh = build_mesh(study(**WITH_LUMPS).geometry)
     u = {
         (name, bool(lumps)): answer(mesh, name, **WITH_LUMPS, inclusions=lumps).displacement[0]
         for name in ("bem", "fem-linear")
@@ -138,7 +137,7 @@ def test_boundary_elements_know_lumps_nested_and_apart() -> None:
     ],
 )
 def test_a_lump_that_touches_is_refused(lumps: list[dict[str, Any]], told: str) -> None:
-    mesh = build_mesh(geometry_of(study(**WITH_LUMPS)))
+    mesh = build_mesh(study(**WITH_LUMPS).geometry)
     refused = answer(mesh, "bem", **WITH_LUMPS, inclusions=lumps).status[0]
     assert refused.code == models.REFUSED
     assert told in refused.message

@@ -19,7 +19,7 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.store.cases import read_case
-from vdmbench.study.config import expand, geometry_of
+from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
 from vdmbench.work.keys import wanted
 from vdmbench.work.plan import make_plan
@@ -50,7 +50,7 @@ def study(part: dict[str, Any] | None = None, **tables: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def box() -> Mesh:
-    return build_mesh(geometry_of(study()))
+    return build_mesh(study().geometry)
 
 
 def answer(mesh: Mesh, name: str, part: dict[str, Any] | None = None, **tables: Any) -> ModelResult:

@@ -18,7 +18,6 @@ from vdmbench.body.surface_measures import Surface, facet_area_vectors, nodal_su
 from vdmbench.scene.placed import on_facets
 from vdmbench.scene.regions import select
 from vdmbench.scene.scene import Scene, SceneError, build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.errors import Loc, MeshError
 from vdmbench.study.schema import Region, Study
 
@@ -43,7 +42,7 @@ def study(**tables: Any) -> Study:
 
 @pytest.fixture(scope="module")
 def sphere() -> Mesh:
-    return build_mesh(geometry_of(study()))
+    return build_mesh(study().geometry)
 
 
 def contact(**keys: Any) -> list[dict[str, Any]]:
@@ -183,7 +182,7 @@ def test_smooth_profiles_have_their_exact_resultant(profile: str, mean: float) -
         geometry=geometry, regions=regions, constraints=contact(pressure=100.0, profile=profile)
     )
     for mesh_size in (0.008, 0.005):
-        mesh = build_mesh(geometry_of(study(geometry=geometry | {"mesh_size": mesh_size})))
+        mesh = build_mesh(study(geometry=geometry | {"mesh_size": mesh_size}).geometry)
         scene = build_scene(scene_study, mesh)
         assert_allclose(
             -scene.contact_force.sum(axis=0)[2], 100.0 * mean * np.pi * 0.03**2, rtol=1e-6, atol=0
@@ -219,7 +218,7 @@ def test_inside_the_rim_a_profile_is_what_its_points_say() -> None:
     """Facets far from the rim keep the samples, to what the rule on a facet leaves."""
     barycentric, _ = facet_quadrature()
     geometry = {"shape": "box", "size": [0.1, 0.1, 0.04], "mesh_size": 0.004}
-    mesh = build_mesh(geometry_of(study(geometry=geometry)))
+    mesh = build_mesh(study(geometry=geometry).geometry)
     region = Region.model_validate({"ball": {"center": [0, 0, 0.02], "radius": 0.03}})
     values = on_facets("hertz", region, mesh, facet_quadrature())
     points = np.einsum("qk,fki->fqi", barycentric, mesh.surface_points[mesh.triangles])

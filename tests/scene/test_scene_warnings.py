@@ -13,7 +13,8 @@ from numpy.testing import assert_allclose
 from tests.report.runs import icosphere, make_case, make_run
 from vdmbench.report.page import write_report
 from vdmbench.scene.warnings import indentation, scene_warnings
-from vdmbench.study.schema import Constraint, Tissue
+from vdmbench.study.loads import Constraint
+from vdmbench.study.schema import Tissue
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import verdicts
 

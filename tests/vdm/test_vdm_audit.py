@@ -10,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import linalg
 
+from tests.bodies import shaped
 from tests.vdm.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.problem import Problem
@@ -17,7 +18,6 @@ from vdm.solvers import audit
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdmbench.body.distort import distorted
 from vdmbench.body.geometry import build_mesh
-from vdmbench.study.shapes import Geometry
 
 from .vdm_shapes import WITH_MATRIX
 
@@ -130,7 +130,7 @@ def test_slivers(formulation: str) -> None:
 @pytest.mark.parametrize("formulation", ["consistent", "vector"])
 def test_refinement_takes_slivers_out_of_a_factor_in_single_precision(formulation: str) -> None:
     """By as many sweeps as it takes, each of which must halve the rest; without any, the audit says so."""
-    body = build_mesh(Geometry("sphere", 0.015, {"radius": 0.05}), volume=False)
+    body = build_mesh(shaped("sphere", 0.015, {"radius": 0.05}), volume=False)
     for ratio in (1e2, 1e5, 1e6):
         mesh = distorted(body, slivers=ratio, perturbation=None)
         points, triangles = mesh.surface_points, mesh.triangles

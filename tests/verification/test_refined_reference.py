@@ -17,7 +17,6 @@ from vdmbench.measures.reference import level_scene, own_error, restricted
 from vdmbench.measures.uncertainty import reference_bar, stored_estimate
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import geometry_of
 from vdmbench.study.schema import Study, VdmTable
 
 VECTOR, DEFORMATION = "relative_l2_displacement_error", "relative_l2_deformation_error"
@@ -42,7 +41,7 @@ STUDY = Study.model_validate(
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return build_scene(STUDY, build_mesh(geometry_of(STUDY)))
+    return build_scene(STUDY, build_mesh(STUDY.geometry))
 
 
 def levels_of(study: Study, scene: Scene, model: str, n_levels: int) -> list[ModelResult]:
@@ -201,7 +200,7 @@ def test_levels_of_a_surface_model_without_an_inside(
 ) -> None:
     """A study of surface models alone has nothing to split but facets; the printed form does not converge."""
     study = STUDY.model_copy(update={"vdm": VdmTable(**moduli)})
-    scene = build_scene(study, build_mesh(geometry_of(study), volume=False))
+    scene = build_scene(study, build_mesh(study.geometry, volume=False))
     assert len(scene.mesh.tetrahedra) == 0
     levels = levels_of(study, scene, model, 4)
     assert levels[-1].displacement.shape == (2, len(scene.fixed), 3)

@@ -20,7 +20,7 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.config import ResolvedCase, expand, geometry_of, load_study
+from vdmbench.study.config import ResolvedCase, expand, load_study
 from vdmbench.study.shapes import geometry_key
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.ladders import Ladder, Reading, ladders
@@ -92,7 +92,7 @@ def some(cases: list[ResolvedCase], every: int) -> Iterator[ResolvedCase]:
 
 def solved(case: ResolvedCase, volume: bool, known: Known) -> CaseResult:
     """A case, of which what another case has asked by the same keys is not solved again."""
-    geometry = geometry_of(case.study)
+    geometry = case.study.geometry
     mesh_key = geometry_key(geometry, volume=volume)
     if mesh_key not in known.meshes:
         known.meshes[mesh_key] = build_mesh(geometry, volume=volume)
@@ -260,7 +260,7 @@ def test_direct_and_iterative_elements_agree_where_both_converge(
     base, on_it = cases[0], [case for case in cases if case.swept.get(hard) != cases[0].swept.get(hard)]
     agreed = []
     for case in (base, *on_it):
-        scene = build_scene(case.study, build_mesh(geometry_of(case.study), volume=True))
+        scene = build_scene(case.study, build_mesh(case.study.geometry, volume=True))
         tissue, fibres = scene.tissue, scene.anisotropy
         assert fibres is not None
         direct, iterative = (

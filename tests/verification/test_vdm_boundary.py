@@ -10,6 +10,7 @@ from scipy.special import eval_legendre
 from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load as VolumeLoad
 from solver_common.quadrature import facet_quadrature
+from tests.bodies import shaped
 from tests.vdm.vdm_shapes import box, icosphere
 from tests.verification.records import Verified
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
@@ -19,7 +20,6 @@ from vdm.peers.bem import MAX_NODES
 from vdm.surface import rigid_basis
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import deformations, relative_l2
-from vdmbench.study.shapes import Geometry
 
 
 def ball(level: int) -> SurfaceMesh:
@@ -228,7 +228,7 @@ def test_held_patches_against_mixed_finite_elements(shape):
         "box": {"size": (0.1, 0.08, 0.05)},
         "cylinder": {"radius": 0.03, "length": 0.1, "axis": "x"},
     }
-    mesh = build_mesh(Geometry(shape, 0.01, parameters[shape]))
+    mesh = build_mesh(shaped(shape, 0.01, parameters[shape]))
     surface = SurfaceMesh(mesh.surface_points, mesh.triangles)
     base = surface.points[:, 2] < surface.points[:, 2].min() + (0.001 if shape == "box" else 0.008)
     patch = np.linalg.norm(surface.points - [0.02, 0.01, surface.points[:, 2].max()], axis=1) < 0.02

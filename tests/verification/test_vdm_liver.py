@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.bodies import shaped
 from vdm import Load, Model, Parameters
 from vdm.deformed import DeformableSurface
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import enclosed_volume
-from vdmbench.study.shapes import Geometry
 
 FACTORS = (0.8, 0.9, 1.0, 1.1, 0.95)
 # a palpating pressure [Pa] that moves the surface by 6 to 13 mm of its 190
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.liver
 @pytest.fixture(scope="module", params=PRESSURE)
 def palpated(request, liver: Path):
     """The model, its loads and the solution of their history."""
-    mesh = build_mesh(Geometry("file", 0.015, {"path": str(liver), "size": 0.19}), volume=False)
+    mesh = build_mesh(shaped("file", 0.015, {"path": str(liver), "size": 0.19}), volume=False)
     points, triangles = mesh.surface_points, mesh.triangles
     height = points[:, 2] - points[:, 2].min()
     fixed = height < 0.2 * height.max()

@@ -21,7 +21,7 @@ from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.store.cases import read_case
-from vdmbench.study.config import expand, geometry_of
+from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
 from vdmbench.work.nodes import bodies
 from vdmbench.work.plan import Plan, PlannedCase, make_plan
@@ -63,7 +63,7 @@ def meshes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A cache that holds the mesh of these studies once it is made."""
     made = tmp_path_factory.mktemp("meshes")
     study = Study.model_validate(copy.deepcopy(TABLES))
-    mesh_from_cache(geometry_of(study), made)
+    mesh_from_cache(study.geometry, made)
     return made
 
 
@@ -100,7 +100,7 @@ def run_alone(planned: PlannedCase, plan: Plan, directory: Path) -> CaseResult:
 
 def scene_of(plan: Plan, case: PlannedCase) -> Scene:
     """A case's scene on its mesh."""
-    mesh = mesh_from_cache(geometry_of(case.study), plan.cache, volume=plan.meshes[case.mesh].volume)
+    mesh = mesh_from_cache(case.study.geometry, plan.cache, volume=plan.meshes[case.mesh].volume)
     return build_scene(case.study, mesh)
 
 

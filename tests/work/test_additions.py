@@ -264,25 +264,27 @@ def test_a_load_profile(place: Path) -> None:
 
 SHAPE = """
 import math
-from .shapes import BodyShape, ShapeKey, register
+from typing import Literal
+from pydantic import Field
+from .kinds import Length
+from .shapes import Solid
 
 
-def extents(body):
-    across = 2.0 * (body.number("radius") + body.number("tube"))
-    return across, across, 2.0 * body.number("tube")
+class Ring(Solid):
+    shape: Literal["ring"]
+    radius: Length = Field(description="of its middle line")
+    tube: Length = Field(description="of its tube")
 
+    def extents(self):
+        across = 2.0 * (self.radius + self.tube)
+        return across, across, 2.0 * self.tube
 
-def area_and_volume(body):
-    around, tube = 2.0 * math.pi * body.number("radius"), body.number("tube")
-    return around * 2.0 * math.pi * tube, around * math.pi * tube**2
+    def area_and_volume(self):
+        around = 2.0 * math.pi * self.radius
+        return around * 2.0 * math.pi * self.tube, around * math.pi * self.tube**2
 
-
-register(BodyShape(
-    name="ring", version="1",
-    parameters={"radius": ShapeKey("of its middle line"), "tube": ShapeKey("of its tube")},
-    extents=extents, area_and_volume=area_and_volume,
-    add=lambda occ, body: occ.addTorus(0, 0, 0, body.number("radius"), body.number("tube")),
-))
+    def add(self, occ, unit):
+        occ.addTorus(0, 0, 0, self.radius / unit, self.tube / unit)
 """
 RING = VDM.replace('shape = "sphere"', 'shape = "ring"\ntube = "12 mm"').replace("16 mm", "9 mm")
 RING = RING.replace("[0, 0, 1]", "[1, 0, 0]").replace('axis = "z"', 'axis = "x"')
@@ -322,20 +324,22 @@ def test_a_shape(place: Path) -> None:
 
 
 LOAD = """
-from typing import Annotated
+from typing import Annotated, Literal
+from pydantic import Field
 from .kinds import SI
-from .loads import Acts, LoadKey, LoadKind, register
+from .loads import Acts, Constraint
 
 
-def act(constraint, on):
-    height = on.points[:, 2]
-    return Acts(pressure=constraint.gradient * on.at_quadrature(height[on.nodes].max() - height))
+class Hydrostatic(Constraint):
+    '''under a liquid'''
 
+    kind: Literal["hydrostatic"]
+    loads = ("gradient",)
+    gradient: Annotated[float, SI("Pa/m")] = Field(description="growth of the pressure with depth")
 
-register(LoadKind(
-    name="hydrostatic", help="under a liquid", version="1", holds=False, act=act,
-    keys={"gradient": LoadKey(Annotated[float, SI("Pa/m")], "growth of the pressure with depth", is_load=True)},
-))
+    def act(self, on):
+        height = on.points[:, 2]
+        return Acts(pressure=self.gradient * on.at_quadrature(height[on.nodes].max() - height))
 """
 LIQUID = VDM.replace("vdm-paper", "fem-linear").replace('kind = "contact"', 'kind = "hydrostatic"')
 LIQUID = LIQUID.replace('force = "0.1 N"', 'gradient = "9810 Pa/m"')

@@ -10,13 +10,11 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import pytest
 
-from vdmbench.study.checks import SHAPE_KEYS
-from vdmbench.study.config import geometry_of
 from vdmbench.study.kinds import Enters, Table
 from vdmbench.study.loads import KINDS, VERSIONS
 from vdmbench.study.registry import all_models, find
 from vdmbench.study.schema import Study
-from vdmbench.study.shapes import geometry_key
+from vdmbench.study.shapes import Geometry, geometry_key
 from vdmbench.study.sweep import substituted
 from vdmbench.work import keys
 from vdmbench.work.keys import Wanted, case_hash, direction, load_steps, wanted
@@ -174,7 +172,7 @@ def test_a_profile_or_a_kind_that_has_changed_is_another_answer_and_another_case
     assert before == (answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh"))
     monkeypatch.setitem(VERSIONS, str(used.pop()), "2")
     profile = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
-    monkeypatch.setitem(KINDS, "contact", dataclasses.replace(KINDS["contact"], version="2"))
+    monkeypatch.setattr(KINDS["contact"], "version", "2")
     kind = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
     assert len({before[0], profile[0], kind[0]}) == len({before[1], profile[1], kind[1]}) == 3
 
@@ -287,7 +285,7 @@ def sample(kind: Any, now: Any) -> Any:
 def changed(table: Table, above: Enters | None) -> Iterator[tuple[str, Enters | None, Table]]:
     """A field of a table or of those in it, what it is declared to enter, and the table with that field changed."""
     for name, field in type(table).model_fields.items():
-        value, mark = getattr(table, name), above or Enters.of(field)
+        value, mark = getattr(table, name), above or Enters.of(field) or table.enters
         inner: dict[Any, Any] = {}
         if isinstance(value, Table):
             inner = {None: value}
@@ -303,33 +301,28 @@ def changed(table: Table, above: Enters | None) -> Iterator[tuple[str, Enters | 
                 else:
                     new = (*value[:key], other, *value[key + 1 :])
                 yield label, own, table.model_copy(update={name: new})
-        if not inner:
+        if not inner and len(get_args(field.annotation)) != 1:  # what a table's only kind says stays
             new = CHOSEN[name] if name in CHOSEN else sample(field.annotation, value)
-            yield f"{type(table).__name__}.{name}", mark, table.model_copy(update={name: new})
+            owner = [one for one in type(table).__mro__ if name in getattr(one, "model_fields", ())][-1]
+            yield f"{owner.__name__}.{name}", mark, table.model_copy(update={name: new})
 
 
 def mesh_key(geometry: Table) -> str:
     one = Study.model_validate(STUDY).model_copy(update={"geometry": geometry})
-    return geometry_key(geometry_of(one), volume=True)
+    return geometry_key(one.geometry, volume=True)
 
 
 def test_each_field_of_a_mesh_enters_its_key(tmp_path: Path) -> None:
     (tmp_path / "a.stl").write_text("a")
     (tmp_path / "b.stl").write_text("b")
-    table, moved = type(Study.model_validate(STUDY).geometry), set[str]()
-    of_mesh = {name: field for name, field in table.model_fields.items() if Enters.of(field) is Enters.MESH}
-    for shape, (needed, allowed) in SHAPE_KEYS.items():
-        keys = (needed | allowed) - {"coordinates", "mesh_size"} | {"slivers", "perturbation", "seed"}
-        given = {key: sample(table.model_fields[key].annotation, None) for key in keys}
-        given |= {"path": tmp_path / "a.stl"} if shape == "file" else {}
-        whole = table.model_construct(shape=shape, mesh_size=0.01, **given)
-        for name in of_mesh.keys() & {*keys, "mesh_size"}:
-            value = getattr(whole, name)
-            other = tmp_path / "b.stl" if name == "path" else _other(value)
-            changed_one = whole.model_copy(update={name: other})
-            if mesh_key(changed_one) != mesh_key(whole):
-                moved.add(name)
-    assert moved == of_mesh.keys() - {"shape"}
+    for kind in Geometry.kinds.values():
+        of_mesh = {n: f for n, f in kind.model_fields.items() if Enters.of(f) is None and n != "shape"}
+        given = {name: sample(field.annotation, None) for name, field in of_mesh.items()}
+        given |= {"path": tmp_path / "a.stl"} if "path" in given else {}
+        whole = kind.model_construct(shape=get_args(kind.model_fields["shape"].annotation)[0], **given)
+        for name in of_mesh:
+            other = tmp_path / "b.stl" if name == "path" else _other(getattr(whole, name))
+            assert mesh_key(whole.model_copy(update={name: other})) != mesh_key(whole), (kind, name)
 
 
 def _other(value: Any) -> Any:

@@ -11,6 +11,7 @@ import meshio
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.bodies import shaped
 from tests.work import shared_work
 from tests.work.shared_work import TABLES, plan_of
 from vdmbench import models
@@ -18,7 +19,6 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.report.rebuild import rebuild
 from vdmbench.study.errors import StudyError
-from vdmbench.study.shapes import Geometry
 from vdmbench.work.explain import summary
 from vdmbench.work.run import Options, run_plan
 
@@ -84,7 +84,7 @@ def test_a_region_off_the_body_is_named_before_it_is_meshed(
 def test_a_region_off_the_body_of_a_file_is_named_before_it_is_meshed(
     tmp_path: Path, suffix: str, known: bool, height: float, told: bool
 ) -> None:
-    file, shape = tmp_path / f"ball{suffix}", Geometry("sphere", 0.022, {"radius": 0.05})
+    file, shape = tmp_path / f"ball{suffix}", shaped("sphere", 0.022, {"radius": 0.05})
     ball = build_mesh(shape)
     cells = {
         ".stl": (ball.surface_points, ("triangle", ball.triangles)),
@@ -120,7 +120,7 @@ def test_a_region_off_the_body_of_a_file_is_named_before_it_is_meshed(
 def test_what_the_machine_has_no_memory_for_is_named_and_not_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: dict[str, float] | None, words: str
 ) -> None:
-    file, ball = tmp_path / "ball.stl", build_mesh(Geometry("sphere", 0.022, {"radius": 0.05}), volume=False)
+    file, ball = tmp_path / "ball.stl", build_mesh(shaped("sphere", 0.022, {"radius": 0.05}), volume=False)
     meshio.write_points_cells(file, ball.surface_points, [("triangle", ball.triangles)])
     geometry = {} if given is None else {"shape": "file", "path": str(file), "mesh_size": 0.022} | given
     plan = plan_of(tmp_path / "run", tmp_path / "cache", geometry=geometry or TABLES["geometry"])
