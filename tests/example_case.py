@@ -17,7 +17,7 @@ from vdmbench.study.schema import Study
 
 _LEAST: dict[str, Any] = {
     "study": {"name": "ball", "models": ["vdm-paper"]},
-    "geometry": {"shape": "sphere"},
+    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.006},
     "tissue": {"youngs_modulus": 5e3, "poisson_ratio": 0.45},
 }
 
