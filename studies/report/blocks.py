@@ -77,7 +77,6 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     marks: Sequence[int | None] = ()  # per row: the model whose colour it carries
     open_rows: int = 30
-    summary: str = ""  # folded away under this where given
     tools: bool = True  # whether it can be copied, saved and sorted
 
 
@@ -149,7 +148,6 @@ class Figure:
 
     svg: Markup
     title: str
-    caption: str = ""
 
 
 @dataclass(frozen=True)

@@ -45,29 +45,20 @@ def run_time_against_error(digest: Digest) -> Section | None:
 
 
 def time_notes(costs: Iterable[Cost]) -> list[str]:
-    """What times and memory of these models mean where they are not simply those of a solve in this run."""
-    notes, costs = [], list(costs)
-    if earlier := [s.model for s in costs if EARLIER in s.marks]:
-        notes.append(
-            f"Measured earlier: {listed(earlier)}. Results and times come from an earlier run; the machine may "
-            "have been less busy then, or busier."
+    """What stands beside times that are not simply those of a solve in this run."""
+    found = list(costs)
+    notes = {
+        EARLIER: "from another run: the machine may have been less busy then, or busier",
+        ELSEWHERE: "compare with times of that machine only",
+        ONCE: "not measured in turns, as the model is slow or on a mesh of its own",
+    }
+    told = [f"{mark}, {note}" for mark, note in notes.items() if any(mark in cost.marks for cost in found)]
+    if any(cost.iterative for cost in found):
+        told.append(
+            "iterative, as suits the few loads of a study; with factors kept set-up is longer and a frame shorter, "
+            "see vdmbench bench"
         )
-    if elsewhere := [s.model for s in costs if ELSEWHERE in s.marks]:
-        notes.append(
-            f"Measured on another machine than this page was made on: {listed(elsewhere)}. Compare these times "
-            "with times of that machine only."
-        )
-    if once := [s.model for s in costs if ONCE in s.marks]:
-        notes.append(
-            f"Not measured in turns, but taken from one answer in this study: {listed(once)}. They are slow, or on "
-            "a mesh of their own."
-        )
-    if iterative := [s.model for s in costs if s.iterative]:
-        notes.append(
-            f"Solved iteratively, as suits the few loads of a study: {listed(iterative)}. With factors kept, the "
-            "same elements take longer to set up and less for a frame; vdmbench bench measures that."
-        )
-    return notes
+    return [f"Beside a time: {'; '.join(told)}."] if told else []
 
 
 def _pareto(

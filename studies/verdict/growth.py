@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from ..measures.case import CaseResult, Limit, ModelLimits
 from .digest import Digest
-from .formatting import short_percent, with_bar
 
 LINEAR = "fem-linear"  # whose growth limit is the linearisation limit
 PAPER_STRAIN = 0.10  # "small deformations and small strains (< 10 %)"
@@ -79,11 +78,6 @@ class PaperBound:
     denied: int
 
 
-def is_measured(limit: Limit) -> bool:
-    """Whether some mesh has the limit."""
-    return limit.state in ("found", "unresolved")
-
-
 def strain_side(limit: Limit) -> int:
     """Where a limit's strain lies of the paper's bound: -1 below, 1 above, 0 where that is unresolved.
 
@@ -99,11 +93,6 @@ def strain_range(limit: Limit) -> tuple[float, float]:
     """The ends of a limit's bar of strain."""
     half = limit.strain * limit.strain_bar if math.isfinite(limit.strain_bar) else 0.0
     return limit.strain - half, limit.strain + half
-
-
-def strain_in_words(limit: Limit) -> str:
-    """A limit's strain with its bar where that was measured."""
-    return with_bar(limit.strain, limit.strain * limit.strain_bar, short_percent)
 
 
 def limit_rows(cases: Iterable[CaseResult]) -> Iterator[LimitRow]:
