@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -53,9 +53,9 @@ class Push:
 
 
 def force_against_indentation(digest: Digest) -> Section | None:
-    """How stiff the body feels where the key cases push it: a chart of a load history, rows of single loads."""
+    """How stiff the body feels where the key cases push it: a chart of a history, a column of a single load."""
     figures: list[Figure] = []
-    rows: list[tuple[str, Push, str]] = []
+    single: dict[str, Push] = {}
     notes: dict[str, None] = {}
     for role, case in digest.key_cases:
         title = f"{digest.case_name(case)}{f' ({role})' if role else ''}"
@@ -64,7 +64,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
             if len(case.load_factors) > 1:
                 figures.append(_drawing(digest, case, push, place, f"f{len(figures)}"))
             else:
-                rows += [(place, push, model) for model in digest.models if model in push.curves]
+                single[place] = push
             notes[push.note] = None
             if weighs(case):
                 notes[_WEIGHT_NOTE] = None
@@ -72,20 +72,24 @@ def force_against_indentation(digest: Digest) -> Section | None:
         return None
     blocks: list[Block] = [Text(" ".join(notes), kind="note")]
     blocks += [Figures(figures, digest.legend)] if figures else []
-    if rows:
-        fields = [
-            Field("Case", lambda row: row[0]),
-            Field("Model", lambda row: row[2]),
-            Field("Length", lambda row: Cell(*_told(row, 0, "m", row[1].length)), "m"),
-            Field("Load", lambda row: Cell(*_told(row, 1, row[1].unit, row[1].load)), rows[0][1].unit),
+    if single:
+        fields = [Field("Model", lambda model: model)]
+        fields += [
+            Field(place, _at_load(push), "m", f"{push.length}, {push.load}") for place, push in single.items()
         ]
-        blocks.append(frame_table(rows, fields, "force", mark=lambda row: digest.mark(row[2])))
+        models = [model for model in digest.models if any(model in push.curves for push in single.values())]
+        blocks.append(frame_table(models, fields, "force", mark=digest.mark))
     return Section("force", "Force against indentation", blocks)
 
 
-def _told(row: tuple[str, Push, str], which: int, unit: str, name: str) -> tuple[str, str, float]:
-    value = float(row[1].curves[row[2]][which][0])
-    return quantity(value, unit), name, value
+def _at_load(push: Push) -> Callable[[str], Cell | None]:
+    def of(model: str) -> Cell | None:
+        if model not in push.curves:
+            return None
+        length, load = (float(values[0]) for values in push.curves[model])
+        return Cell(quantity(length, "m"), quantity(load, push.unit), length)
+
+    return of
 
 
 def _pushes(digest: Digest, case: CaseResult) -> Iterator[Push]:

@@ -134,9 +134,10 @@ def test_one_load_is_a_row_and_no_empty_frame() -> None:
     section = force_section(moved_case(steps=(1.0,)))
     assert not any(isinstance(block, Figures) for block in section.blocks)
     (table,) = (block for block in section.blocks if isinstance(block, Table))
-    assert [[cell.text for cell in row] for row in table.rows] == [
-        ["tool, the only case", "m", "5.00 mm", "800 mN"],
-        ["tool, the only case", REFERENCE, "5.00 mm", "1.60 N"],
+    assert [column.title for column in table.columns] == ["Model", "tool, the only case"]
+    assert [(row[0].text, row[1].text, row[1].detail) for row in table.rows] == [
+        ("m", "5.00 mm", "800 mN"),
+        (REFERENCE, "5.00 mm", "1.60 N"),
     ]
 
 
