@@ -130,13 +130,9 @@ def make_case(
             metric: MetricSeries(v, METRICS[metric].unit, METRICS[metric].definition, METRICS[metric].version)
             for metric, v in values.items()
         }
-    constraint = {
-        "kind": "contact",
-        "name": "finger",
-        "region": "finger",
-        "force": 0.5 * load,
-        **(contact or {}),
-    }
+    given = contact or {}
+    force = {} if "kind" in given else {"force": 0.5 * load}
+    constraint = {"kind": "contact", "name": "finger", "region": "finger", **force, **given}
     swept = swept or {}
     return CaseResult(
         hash=hashlib.sha256(repr((label, swept, errors)).encode()).hexdigest(),
