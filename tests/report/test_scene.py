@@ -20,7 +20,7 @@ def told(label: str, nu: float, force: float, **more: Any) -> CaseResult:
     case = make_case({"m": 0.1}, label=label, contact={"force": force, "profile": "hertz"}, steps=(0.5, 2.0))
     inputs = {
         "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": nu, "density": 1060.0},
-        "geometry": {"shape": "sphere", "mesh_size": 0.009},
+        "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.009},
         **more,
     }
     return asked(case, **inputs)
@@ -103,7 +103,7 @@ def test_a_moved_region_and_a_contact_all_round() -> None:
 def test_a_region_that_is_moved_by_nothing_is_a_support() -> None:
     for amount, word in ((0.0, "Support"), (0.002, "Moved")):
         jaw = {"kind": "constrained", "region": "finger", "name": "jaw", "displacement": [amount, 0.0, 0.0]}
-        case = make_case({"m": 0.1}, contact={"force": None, **jaw}, subdivisions=3)
+        case = make_case({"m": 0.1}, contact=jaw, subdivisions=3)
         (told,) = (value for what, value in scene_words(case, [case]) if what == word and "jaw" in value)
         assert ("2 mm, " in told) == (amount > 0.0)
         assert "0 m," not in told
