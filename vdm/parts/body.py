@@ -44,10 +44,16 @@ from vdm.surface import SurfaceMesh
 # rotation within a part [rad] that small strain in its frame bears: half of its square is the strain that it feigns
 MOST_TURN = np.radians(10.0)
 SAME_TURN = 0.01  # change of a rotation that a correction does not mind: a factor is made anew beyond it
+LEAST_GAIN, ANOTHER_LOAD = (
+    0.1,
+    1e3,
+)  # of what lacks: a slope that leaves more is made anew; more is another load's
 FINEST = 16  # parts that the spread of rotations is read from
 # of the surface's area: its strain is below that of the rest, which grows at rims without limit on finer meshes
 MOST_AREA = 0.99
 LARGEST_STRAIN = 0.1
+# (3, 9): v @ _TURNED is (3, 3) with e_k x v in column k
+_TURNED = np.cross(np.eye(3)[None], np.eye(3)[:, None]).transpose(0, 2, 1).reshape(3, 9)
 BORDER = 7  # unknowns of a part beside displacements: its pressure and what its turning adds, six
 
 
@@ -102,6 +108,28 @@ class _Acting:
     weight: Array
     rise: Array
     filled: list[Array]
+
+
+@dataclass(frozen=True)
+class _Slope:
+    """The slope of a state, see the head of this file, with q (r,) of all parts and cavities.
+
+    Attributes
+    ----------
+    turns : (m, 3, 3) of the parts
+    columns : of each part its places in q
+    pushes, inside : of each part E_I (3 n_I, k), and S_II^-1 of that
+    border, answers : (3 n_C, r) H, and the shared nodes' answers to it
+    system : (r, r) what is left for q
+    """
+
+    turns: Array
+    columns: list[Index]
+    pushes: list[Array]
+    inside: list[Array]
+    border: Array
+    answers: Array
+    system: Array
 
 
 class Parts:
@@ -182,6 +210,8 @@ class Parts:
         )
         self.wanted = 1
         self._turns: Array | None = None
+        self._slope: _Slope | None = None
+        self._lacked = np.inf  # of the last correction
         self._factor = self._ground_joining
 
     def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
@@ -241,50 +271,29 @@ class Parts:
         turn: Array,  # noqa: ARG002 - each part has a frame of its own
     ) -> tuple[Array, Array]:
         """As in `Large`."""
-        n, m, k = self._n_shared, self.n_parts, BORDER
-        acting: _Acting = balance.parts
-        turns = self._joined_at(np.array([state.rotation for state in acting.states]))
-        # of the border those of each part, and after them the pressures in cavities
-        columns = [np.append(k * e + np.arange(k), k * m + np.arange(self._n_filled)) for e in range(m)]
-        size = k * m + self._n_filled
-        right, corner, target = np.zeros((n, 3, 1 + size)), np.zeros((size, size)), np.zeros(size)
-        right[:, :, 0] = -lacking[self._shared]
+        m, k, acting = self.n_parts, BORDER, balance.parts
+        slope = self._slope_for(balance, lacking, gap)
+        target = np.zeros(len(slope.system))
         target[: k * m : k], target[k * m :] = np.split(-gap * self.volumes, [m])
-        inside: list[Array] = []
-        for e, (part, q, at) in enumerate(zip(self.parts, turns, columns, strict=True)):
+        right, inside = -lacking[self._shared], list[Array]()
+        for part, q, columns, pushes in zip(
+            self.parts, slope.turns, slope.columns, slope.pushes, strict=True
+        ):
             # vectors in rows: v of the world is v @ q.T in the part's frame
-            turning, own = self._turning(e, q, balance)
-            pushes = np.concatenate(
-                [
-                    np.stack([-lacking[part.nodes] @ q.T, acting.states[e].area_vectors @ q.T], axis=2),
-                    turning,
-                    np.einsum("nck,dc->ndk", acting.filled[e], q),
-                ],
-                axis=2,
-            )
-            within = pushes[part.inner].reshape(-1, 1 + len(at))
-            solved = np.asarray(part.block.solve(np.asfortranarray(within)))
-            inside.append(solved)
-            corner[np.ix_(at, at)] += within[:, 1:].T @ solved[:, 1:]
-            corner[np.ix_(at[1:k], at[1:k])] += own
-            if not (part.inner | part.shared).any():  # it is held all over, and its pressure is at rest
-                corner[k * e, k * e] = 1.0
-            target[at] -= within[:, 1:].T @ solved[:, 0]
+            within = (-lacking[part.nodes[part.inner]] @ q.T).reshape(-1)
+            inside.append(np.asarray(part.block.solve(within)))
+            target[columns] -= pushes.T @ inside[-1]
             if len(part.places):
-                passed = (part.follows.T @ within).reshape(-1, 3, 1 + len(at))
-                right[part.places, :, 0] -= np.einsum("nc,cd->nd", passed[:, :, 0], q)
-                joined = pushes[part.shared][:, :, 1:] - passed[:, :, 1:]
-                right[part.places[:, None], :, 1 + at] += np.einsum("ncj,cd->njd", joined, q)
-        flat = right.reshape(3 * n, 1 + size)
-        border = flat[:, 1:].copy()
-        if n:
-            flat = linalg.cho_solve((self._factor, True), flat, check_finite=False)
-        push = np.linalg.solve(border.T @ flat[:, 1:] + corner, target - border.T @ flat[:, 0])
-        moved_together = (flat[:, 0] + flat[:, 1:] @ push).reshape(-1, 3)
+                right[part.places] -= (part.follows.T @ within).reshape(-1, 3) @ q
+        first = right.reshape(-1)
+        if len(first):
+            first = linalg.cho_solve((self._factor, True), first, check_finite=False)
+        push = np.linalg.solve(slope.system, target - slope.border.T @ first)
+        moved_together = (first + slope.answers @ push).reshape(-1, 3)
         change = np.zeros((len(self.free), 3))
         change[self._shared] = moved_together
-        for e, (part, q) in enumerate(zip(self.parts, turns, strict=True)):
-            moved = inside[e] @ np.append(1.0, push[columns[e]])
+        for e, (part, q) in enumerate(zip(self.parts, slope.turns, strict=True)):
+            moved = inside[e] + slope.inside[e] @ push[slope.columns[e]]
             if len(part.places):
                 moved = moved - part.follows @ (moved_together[part.places] @ q.T).reshape(-1)
             change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ q
@@ -292,32 +301,74 @@ class Parts:
         sunk = [part.areas @ change[part.nodes] @ acting.rise for part in self.parts]
         return change[self.free], np.append(push[: k * m : k] - sunk, push[k * m :])
 
+    def _slope_for(self, balance: Balance, lacking: Array, gap: Array) -> _Slope:
+        """The slope of a state, or the last one where parts have hardly turned and it still gains a digit.
+
+        What lacks far more than at the last correction is another load's, and tells nothing of the slope.
+        """
+        turns = np.array([state.rotation for state in balance.parts.states])
+        lacks = max(
+            float(np.linalg.norm(lacking[self.free])) / (balance.scale or 1.0), float(np.abs(gap).max())
+        )
+        gains = not LEAST_GAIN * self._lacked < lacks < ANOTHER_LOAD * self._lacked
+        self._lacked = lacks
+        if self._slope is None or not gains or np.abs(turns - self._slope.turns).max() > SAME_TURN:
+            self._slope = self._slope_at(balance, self._joined_at(turns))
+        return self._slope
+
+    def _slope_at(self, balance: Balance, turns: Array) -> _Slope:
+        n, m, k = self._n_shared, self.n_parts, BORDER
+        acting: _Acting = balance.parts
+        # of the border those of each part, and after them the pressures in cavities
+        columns = [np.append(k * e + np.arange(k), k * m + np.arange(self._n_filled)) for e in range(m)]
+        size = k * m + self._n_filled
+        border, corner = np.zeros((n, 3, size)), np.zeros((size, size))
+        pushed, inside = list[Array](), list[Array]()
+        for e, (part, q, at) in enumerate(zip(self.parts, turns, columns, strict=True)):
+            turning, own = self._turning(e, q, balance)
+            filled = np.einsum("nck,dc->ndk", acting.filled[e], q)
+            pressed = (acting.states[e].area_vectors @ q.T)[:, :, None]
+            pushes = np.concatenate([pressed, turning, filled], axis=2)
+            within = pushes[part.inner].reshape(-1, len(at))
+            pushed.append(within)
+            inside.append(np.asarray(part.block.solve(np.asfortranarray(within))))
+            corner[np.ix_(at, at)] += within.T @ inside[-1]
+            corner[np.ix_(at[1:k], at[1:k])] += own
+            if not (part.inner | part.shared).any():  # it is held all over, and its pressure is at rest
+                corner[k * e, k * e] = 1.0
+            if len(part.places):
+                joined = pushes[part.shared] - (part.follows.T @ within).reshape(-1, 3, len(at))
+                border[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", joined, q)
+        flat = border.reshape(3 * n, size)
+        answers = linalg.cho_solve((self._factor, True), flat, check_finite=False) if n else flat
+        return _Slope(turns, columns, pushed, inside, flat, answers, flat.T @ answers + corner)
+
     def _turning(self, number: int, q: Array, balance: Balance) -> tuple[Array, Array]:
         """What turning a part adds to its slope, `U C U^T`: U (n, 3, 6) in its frame, and C^-1 (6, 6).
 
         See the head of this file. The part is pressed on its closed surface by its weight too: it turns as one.
         """
         part, acting = self.parts[number], balance.parts
-        state, levers, modes = acting.states[number], part.body.levers, np.eye(3)[None]
+        state, levers = acting.states[number], part.body.levers
         y = state.positions @ q.T
-        stressed = part.form.elastic_force(y - part.body.rest)
+        away = y - part.body.rest
         y = y - part.areas @ y
         stretch = levers.T @ y
         inertia = np.trace(stretch) * np.eye(3) - stretch
-        turned = np.cross(modes, y[:, None]).transpose(0, 2, 1)
+        turned = (y @ _TURNED).reshape(-1, 3, 3)
+        stressed = part.form.elastic_forces(np.concatenate([away[:, :, None], turned], axis=2))
         vectors = state.area_vectors @ q.T
         pushed = (balance.pressure[number] + acting.weight[part.nodes])[:, None] * vectors
         own = part.nodes[part.owns]
         pushed[part.owns] += acting.on_surface[own] @ q.T
         pushed += acting.filled[number] @ balance.pressure[self.n_parts :] @ q.T
-        slope = np.cross(modes, (stressed - pushed)[:, None]).transpose(0, 2, 1)
-        slope -= np.stack([part.form.elastic_force(mode) for mode in np.moveaxis(turned, 2, 0)], axis=2)
+        slope = ((stressed[:, :, 0] - pushed) @ _TURNED).reshape(-1, 3, 3) - stressed[:, :, 1:]
         slope -= vectors[:, :, None] * ((q @ acting.rise) @ turned)[:, None, :]
         met = turned.reshape(-1, 3).T @ slope.reshape(-1, 3)
         inverse = np.zeros((6, 6))
         inverse[:3, 3:] = inverse[3:, :3] = np.eye(3)
         inverse[3:, 3:] = 0.5 * (met + met.T)
-        follows = np.cross(np.linalg.inv(inertia)[None], levers[:, None]).transpose(0, 2, 1)
+        follows = np.einsum("kb,nab->nak", np.linalg.inv(inertia), (levers @ _TURNED).reshape(-1, 3, 3))
         return np.concatenate([follows, slope], axis=2), inverse
 
     def _joined_at(self, turns: Array) -> Array:

@@ -112,6 +112,9 @@ class SparseFormulation(BoundaryFormulation):
         force: Array = self.springs[:, None] * (x + self.spread @ fitted)
         return force
 
+    def elastic_forces(self, x: Array) -> Array:
+        return np.stack([self.elastic_force(one) for one in np.moveaxis(x, 2, 0)], axis=2)
+
     def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
         if factorise not in (Cholesky, SingleFactor):
             raise SolverError(NO_MATRIX)
