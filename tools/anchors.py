@@ -1,4 +1,4 @@
-"""How far the boundary form and elements are from exact answers.
+"""How far boundary elements and elements are from exact answers.
 
 A ball under a normal traction P_2 or P_3, and a bar four times as long as thick in pure bending; three meshes of
 each, the edges of the next half as long. A part of the surface is held at the exact displacement. Five minutes.
@@ -74,7 +74,7 @@ ANCHORS = (_ball(2), _ball(3), _bar(0.3), _bar(0.5))
 
 
 def boundary(anchor: Anchor, body: Body, pressure: Array) -> Array:
-    """(N, 3) answer of the boundary form to (F, Q) pressures at the points of the facets."""
+    """(N, 3) answer of boundary elements to (F, Q) pressures at the points of the facets."""
     points, weights = facet_quadrature()
     surface, held = SurfaceMesh(body.surface, body.triangles), anchor.held(body.surface)
     shares = (pressure * weights) @ points

@@ -201,7 +201,7 @@ class Parameters:
 
         The fluid keeps the volume, so that Young's modulus is all there is of a tissue: mu = E / 3, Poisson's
         ratio of 1/2. (The shear modulus of a tissue of 0.45, kept in place of E, is 3 % stiffer and further off.)
-        The boundary form alone has a choice: with `poisson_ratio` it is the tissue itself, mu = E / (2 (1 + nu)).
+        Boundary elements alone have a choice: with `poisson_ratio` it is the tissue itself, mu = E / (2 (1 + nu)).
 
         - consistent: k = (46/35) mu / R and T = (29/70) mu R, the exact answer of the ball to P_2 and P_3;
         - paper: B = k V / A, and B_ij = T (V / A) / (sqrt(3) A / N), the constant that a mesh of N equal
@@ -218,7 +218,7 @@ class Parameters:
         formulation : "paper", "consistent", "vector", "bem", "bem-sparse" or "mass-spring"
         rotation : of the vector form
         held : (N,) mask of the nodes that are fixed or moved, for the vector form
-        poisson_ratio : nu of the body inside, for the boundary form; 1/2 is the fluid that keeps the volume
+        poisson_ratio : nu of the body inside, for boundary elements; 1/2 is the fluid that keeps the volume
 
         Raises
         ------

@@ -67,7 +67,7 @@ class Problem:
         if self.formulation.components != 3:
             raise ConstraintError(
                 f"the {self.formulation.name} form moves along normals only and takes no force in another "
-                "direction; use the vector or boundary form"
+                "direction; use the vector form or boundary elements"
             )
         return force
 

@@ -17,7 +17,7 @@ from vdm.solution import Status
 LIMIT = 0.1
 
 _INSIDE = (
-    "take the boundary form or finite elements where the size of the displacement matters, or fit the parameters to"
+    "take boundary elements or finite elements where the size of the displacement matters, or fit the parameters to"
     " loads like yours"
 )
 

@@ -48,7 +48,7 @@ PARAMETERS = {
 
 
 def takes_fluid(solver: str, compressibility: object) -> bool:
-    """Whether the boundary form is filled with a fluid, not the tissue: left out, at large displacements alone."""
+    """Whether boundary elements are filled with a fluid, not the tissue: left out, at large displacements alone."""
     return (compressibility or ("fluid" if solver == "nonlinear" else "tissue")) == "fluid"
 
 

@@ -192,20 +192,20 @@ class VdmTable(Table):
 
     bulk_modulus: Modulus | None = Field(None, description="B of the paper")
     connectivity_modulus: Modulus | None = Field(None, description="B_ij of the paper")
-    shear_modulus: Modulus | None = Field(None, description="mu of the boundary form")
+    shear_modulus: Modulus | None = Field(None, description="mu of boundary elements")
     coarse_nodes: int | None = Field(
         None, description="sparse form: most nodes of its coarse body, 200 to 2,000", ge=200, le=2000
     )
     parts: int | None = Field(
         None,
-        description="boundary forms, nonlinear solver: into how many parts the body is cut; left out: as many as"
+        description="boundary elements, nonlinear solver: into how many parts the body is cut; left out: as many as"
         " its rotations need",
         ge=1,
         le=64,
     )
     compressibility: Literal["tissue", "fluid"] | None = Field(
         None,
-        description="boundary form: the tissue's own Poisson's ratio, or a fluid that keeps the volume;"
+        description="boundary elements: the tissue's own Poisson's ratio, or a fluid that keeps the volume;"
         " left out: tissue, of the nonlinear solver fluid",
     )
     foundation: Annotated[float, SI("Pa/m"), not_negative] | None = Field(

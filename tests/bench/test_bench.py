@@ -170,7 +170,7 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
     assert told(replace(linear, bar=0.005))[most] == "fem-linear, 5 % ± 0.5 %", "a tenth is resolved"
 
     unmatched = "Surface models whose re-cut no elements as close match"
-    # elements 3 % closer in the time of the boundary form; none in that of the others
+    # elements 3 % closer in the time of boundary elements; none in that of the others
     assert (
         found[unmatched]
         == "vdm-vector (~13.5 % ± 4 %, 10 ms), mass-spring (~14.5 % ± 4 %, 1 ms); undecided: bem"

@@ -111,7 +111,7 @@ def test_a_form_that_does_not_know_the_inside_says_how_wrong_it_is(formulation: 
     assert error < model.bending_error
     message, remedy = told(model)
     assert f"a known bending comes out {100 * model.bending_error:.0f} % wrong" in message
-    assert remedy.startswith("take the boundary form or finite elements")
+    assert remedy.startswith("take boundary elements or finite elements")
 
 
 def test_the_error_is_that_of_the_tissue_that_the_parameters_stand_for() -> None:

@@ -190,7 +190,7 @@ def test_elements_are_not_advised_below_a_surface_model_that_is_closer(
 
 def with_status(case: CaseResult, model: str, message: str) -> CaseResult:
     """The case with a message at every step of a model."""
-    status = tuple(Status("converged", message, "take the boundary form") for _ in case.load_factors)
+    status = tuple(Status("converged", message, "take boundary elements") for _ in case.load_factors)
     doubtful = dataclasses.replace(case.models[model], status=status)
     return dataclasses.replace(case, models={**case.models, model: doubtful})
 

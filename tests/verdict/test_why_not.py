@@ -110,7 +110,7 @@ def test_the_model_is_told_by_its_smallest_load() -> None:
 
 
 def test_small_strain_has_ended_where_linear_elements_are_as_far_off() -> None:
-    """As on the liver at 1 N: the boundary form 12.3 %, linear elements 11.4 %."""
+    """As on the liver at 1 N: boundary elements 12.3 %, linear elements 11.4 %."""
     ended = growing({"vdm-vector": (0.02, 0.06, 0.123), "fem-linear": (0.001, 0.05, 0.114)})
     found = causes(make_run([ended]))
     assert found.keys() == {SMALL_STRAIN}

@@ -1,4 +1,4 @@
-"""The boundary formulation against exact answers: potentials, the incompressible ball, mixed finite elements."""
+"""Boundary elements against exact answers: potentials, the incompressible ball, mixed finite elements."""
 
 from __future__ import annotations
 

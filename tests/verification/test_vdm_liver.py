@@ -54,7 +54,7 @@ def test_the_volume_is_kept_exactly(palpated):
 
 def test_energy_is_the_work_of_the_load(palpated):
     model, loads, solution = palpated
-    # the trapezes err with the square of the steps, here 5e-5 and 4e-4; the boundary form's force leaves out how
+    # the trapezes err with the square of the steps, here 5e-5 and 4e-4; boundary elements' force leaves out how
     # the best-fit rotation turns with the displacement, 1.6e-2 at 13 mm whatever the steps
     tolerance = {"consistent": 2e-4, "vector": 1e-3, "bem": 2e-2}[model.formulation.name]
     body = DeformableSurface(model.surface)

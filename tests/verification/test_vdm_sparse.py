@@ -1,4 +1,4 @@
-"""The boundary form of many nodes: its coarse surface, interpolation and operator, and what it is right about."""
+"""`bem-sparse`: its coarse surface, interpolation and operator, and what it is right about."""
 
 from __future__ import annotations
 
@@ -156,7 +156,7 @@ def test_with_all_nodes_in_the_coarse_body_it_is_the_boundary_form(nu):
 
 
 def errors(surface: SurfaceMesh, counts: list[int], width: float) -> list[float]:
-    """Of coarse bodies against the boundary form on all nodes, under a patch; the lowest eighth is held."""
+    """Of coarse bodies against boundary elements on all nodes, under a patch; the lowest eighth is held."""
     x, areas = surface.points, surface.nodal_areas[:, None]
     fixed = x[:, 2] < x[:, 2].min() + 0.12 * np.ptp(x[:, 2])
     middle = x[np.argmax(x @ [1.0, 0.0, 0.6])]
@@ -193,7 +193,7 @@ def test_few_coarse_nodes_are_near_the_whole_form_on_a_graded_mesh():
 
 @pytest.mark.slow
 def test_a_finer_surface_on_the_same_coarse_body_is_not_worse():
-    """Against the whole boundary form of 642 and 1,962 nodes under the same load."""
+    """Against `bem` on the whole surface of 642 and 1,962 nodes under the same load."""
     found = [errors(SurfaceMesh(*box(n, (0.1, 0.1, 0.1))), [300, 9999], width=0.04)[0] for n in (10, 18)]
     assert max(found) < 0.08
     # the finer whole form knows its rim better than 300 nodes can

@@ -23,11 +23,11 @@ INVERTED = 3000
 # smallest over largest pivot of a factor that is told from a singular one
 PIVOT_TOLERANCE = 1e-8
 DENSE = Status(
-    "dense", "the boundary formulation has a dense factor, in double precision only", "use the linear solver"
+    "dense", "boundary elements have a dense factor, in double precision only", "use the linear solver"
 )
 INDEFINITE = Status(
     "singular",
-    "the boundary formulation's stiffness is not positive definite",
+    "the stiffness of boundary elements is not positive definite",
     "hold at least three nodes that are not on one line, and remesh slivers and folds",
 )
 
@@ -247,7 +247,7 @@ def too_large(n_nodes: int) -> Status:
     """What is said of a surface that a dense matrix is no way for."""
     return Status(
         "too-large",
-        f"{n_nodes:,} nodes are more than the {MAX_NODES:,} of the boundary formulation's dense matrix",
+        f"{n_nodes:,} nodes are more than the {MAX_NODES:,} of the dense matrix of boundary elements",
         f"use a mesh of at most {MAX_NODES:,} nodes, the sparse formulation, or finite elements",
     )
 

@@ -1,4 +1,4 @@
-"""The boundary form of many nodes: a coarse body by boundary elements, springs for what it does not resolve."""
+"""`bem` on many nodes: a coarse body by boundary elements, springs for what it does not resolve."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NO_MATRIX = Status(
 
 
 class SparseFormulation(BoundaryFormulation):
-    """`E(u) = 1/2 (R u).S (R u) + 1/2 (u - P R u).D (u - P R u)` in place of the boundary form's `1/2 u.S u`.
+    """`E(u) = 1/2 (R u).S (R u) + 1/2 (u - P R u).D (u - P R u)` in place of `bem`'s `1/2 u.S u`.
 
     S is the stiffness of a coarse body of at most `Parameters.coarse_nodes` nodes by boundary elements. P
     interpolates from its nodes to the surface's, and `R = (P^T D P)^-1 P^T D` fits the coarse body to what moves.
@@ -44,7 +44,7 @@ class SparseFormulation(BoundaryFormulation):
     held (`vdm.boundary.coarsening`). Nothing is fitted.
 
     Both parts are positive on every mesh, and rigid motions cost nothing. With all nodes in the coarse body it is
-    the boundary form itself. Held nodes are held where they are, at the resolution of the fine surface.
+    `bem` itself. Held nodes are held where they are, at the resolution of the fine surface.
 
     With `G = P^T D P` and `Q = G^-1 (S - G) G^-1` the operator is `D + D P Q P^T D`. Over the free nodes its
     inverse is `D^-1 + P W P^T`, `W = (I - G^-1 S) (S + G_held (I - G^-1 S))^-1`: a frame is one product with a

@@ -62,7 +62,7 @@ class MassSpringFormulation(DisplacementFormulation):
                 Status(
                     "too-large",
                     f"struts through a body make the factor dense: {surface.n_nodes:,} nodes are too many",
-                    f"use a mesh of at most {MAX_NODES:,} nodes, or the vector or the boundary formulation",
+                    f"use a mesh of at most {MAX_NODES:,} nodes, or the vector form or boundary elements",
                 )
             )
         self.springs, self.spring_constants = make_springs(surface, float(modulus))
