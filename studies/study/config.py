@@ -18,7 +18,6 @@ from .loads import LOAD_KEYS
 from .registry import FINITE_STRAIN, split
 from .schema import Study
 from .sweep import (
-    OWN_KEYS,
     Axis,
     ResolvedCase,
     as_written,
@@ -130,17 +129,11 @@ def expand(study: Study) -> list[ResolvedCase]:
 
 
 def resolved(study: Study) -> dict[str, Any]:
-    """Everything that a study says, as plain JSON in SI units, in an order that does not depend on the file's.
+    """Everything that a study says, as plain JSON, but for its sweep in SI units, in an order of its own.
 
     `Study.model_validate` takes it back. Paths are absolute.
     """
     data: dict[str, Any] = _jsonable(_plain(study))
-    axes, _ = read_axes(data)
-    if axes:
-        own = {key: value for key, value in data["sweep"].items() if key in OWN_KEYS}
-        for axis in sorted(axes, key=lambda axis: axis.key):
-            own[axis.key] = axis.as_written()
-        data["sweep"] = own
     if "inputs" in data:
         data["inputs"] = as_written(data)
     return data

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import types
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Literal, NamedTuple, Union, get_args, get_origin
@@ -14,7 +14,7 @@ from pydantic_core import core_schema
 
 from .errors import Loc
 from .kinds import SI, OneOf, Table
-from .schema import MOST_NAMES, Inputs, Region, Study, StudyInfo, Sweep, model_table
+from .schema import MOST_NAMES, Inputs, Known, Range, Region, Study, StudyInfo, Sweep, model_table
 from .units import DIMENSIONS
 
 _NEVER_SWEPT = {"study", "sweep", "inputs", "limits", "calibration", "acceptance", "measured"}
@@ -111,29 +111,6 @@ def value_at(data: Any, loc: Loc) -> Any:
     return data
 
 
-class EntryError(ValueError):
-    """What is wrong with an entry of [sweep] or [inputs]; `inside` leads to the place in it."""
-
-    def __init__(self, message: str, *inside: str | int) -> None:
-        super().__init__(message)
-        self.inside = inside
-
-
-def entries(
-    table: Mapping[str, Any], known: Collection[str], own: set[str], loc: Loc, prefix: str = ""
-) -> Iterator[tuple[str, Loc, Any]]:
-    """(key, place, entry) of a table of dotted keys; `tissue.poisson_ratio = ...` is as good as with quotes.
-
-    An entry that is a table has one of the keys `own`; the others are tables around entries.
-    """
-    for name, value in table.items():
-        key, place = prefix + name, (*loc, name)
-        if isinstance(value, Mapping) and value and key not in known and not own & value.keys():
-            yield from entries(value, known, own, place, f"{key}.")
-        else:
-            yield key, place, value
-
-
 def _of_each_model(data: Mapping[str, Any]) -> dict[str, Any]:
     """The tables of single models, empty where a model of the study has none."""
     study, given = data.get("study"), data.get("models")
@@ -207,10 +184,31 @@ def _rows(table: type[Table], prefix: str) -> Iterator[FieldRow]:
             yield from _rows(unwrapped(args[0])[0], f"{prefix}{name}[].")
         else:
             yield _row(prefix + name, field, field.description or "")
-    if table is Sweep:
-        yield from _axis_rows()
-    if table is Inputs:
-        yield from _input_rows()
+    if table in _ENTRIES:
+        inside, kind, told, closed = _ENTRIES[table]
+        entry = f'{prefix}"KEY"'
+        never = ", ".join(f"`{name}`" for name in sorted(closed))
+        yield FieldRow(entry, kind, "", f"{told}; not of {never}")
+        yield from _rows(inside, f"{entry}.")
+
+
+# what the keys of these tables besides their own are: a table inside, its type and help, and of which tables not
+_ENTRIES: dict[Any, tuple[type[Table], str, str, set[str]]] = {
+    Sweep: (
+        Range,
+        "list of values, or a range",
+        "an axis: KEY is the path of a key that takes one number or text, such as `regions.finger.cap.angle`, "
+        "`constraints.finger.force` (a constraint goes by its name or region) or `gravity.acceleration.2` (a "
+        "component by its index)",
+        _NEVER_SWEPT,
+    ),
+    Inputs: (
+        Known,
+        "table",
+        "how well a number is known: KEY is the path of a quantity, as in a sweep; sd or range",
+        NEVER_AN_INPUT,
+    ),
+}
 
 
 def _row(key: str, field: FieldInfo, told: str) -> FieldRow:
@@ -241,41 +239,6 @@ def _rows_of_kinds(table: type[OneOf], prefix: str) -> Iterator[FieldRow]:
         )
 
 
-def _axis_rows() -> Iterator[FieldRow]:
-    """What `read_axes` takes beside the named keys of [sweep]."""
-    closed = ", ".join(f"`{name}`" for name in sorted(_NEVER_SWEPT))
-    axis = 'sweep."KEY"'
-    yield FieldRow(
-        axis,
-        "list of values, or a range",
-        "",
-        "an axis: KEY is the path of a key that takes one number or text, such as `regions.finger.cap.angle`, "
-        "`constraints.finger.force` (a constraint goes by its name or region) or `gravity.acceleration.2` (a "
-        f"component by its index); not of {closed}",
-    )
-    yield FieldRow(f"{axis}.start", "as of KEY", "required", "a range, of numbers: its first value")
-    yield FieldRow(f"{axis}.stop", "as of KEY", "required", "a range: its last value")
-    yield FieldRow(
-        f"{axis}.num", "whole number", "", "a range: how many values, 2 or more; latin-hypercube: none"
-    )
-    yield FieldRow(f"{axis}.scale", "linear | log", "linear", "a range: in equal steps or in equal ratios")
-
-
-def _input_rows() -> Iterator[FieldRow]:
-    """What `vdmbench.study.inputs` takes beside the named keys of [inputs]."""
-    closed = ", ".join(f"`{name}`" for name in sorted(NEVER_AN_INPUT))
-    known = 'inputs."KEY"'
-    yield FieldRow(
-        known,
-        "table",
-        "required",
-        "how well a number is known: KEY is the path of a quantity, as in a sweep; sd or range. Not of "
-        f"{closed}",
-    )
-    yield FieldRow(f"{known}.sd", "as of KEY", "", "its standard deviation; the study has its mean")
-    yield FieldRow(f"{known}.range", "list of 2: as of KEY", "", "least and most, all between as likely")
-
-
 def _kind(annotation: Any, si: SI | None) -> str:
     if si is not None:
         return " or ".join(_count(count, si.unit) for count in si.counts)
@@ -286,7 +249,9 @@ def _kind(annotation: Any, si: SI | None) -> str:
         if of_items is not None:
             return f"list of {_kind(inner, of_items).replace('list of', 'lists of')}"
         return {Region: "list of regions", int: "list of whole numbers"}.get(inner, "list of texts")
-    return {bool: "true or false", int: "whole number", Region: "region"}.get(annotation, "text")
+    return {bool: "true or false", int: "whole number", Region: "region", Any: "as of KEY"}.get(
+        annotation, "text"
+    )
 
 
 def _count(count: int, unit: str) -> str:
@@ -308,24 +273,6 @@ def _default(field: FieldInfo) -> str:
 # --- The JSON schema of a study file, for editors: made by pydantic from the tables that validate it ---
 
 
-_AXIS = {
-    "description": "an axis: the values of a key of the study, or a range of them",
-    "anyOf": [
-        {"type": "array", "items": {"type": ["number", "string", "boolean"]}},
-        {"type": "object", "required": ["start", "stop"]},
-    ],
-}
-_INPUT = {
-    "description": "how well a key of the study is known: a standard deviation or a range",
-    "type": "object",
-    "properties": {
-        "sd": {"type": ["number", "string"]},
-        "range": {"type": "array", "items": {"type": ["number", "string"]}, "minItems": 2, "maxItems": 2},
-    },
-}
-_FURTHER: dict[Any, Any] = {Sweep: _AXIS, Inputs: _INPUT}
-
-
 class _OfFile(GenerateJsonSchema):
     """A file has no null and no titles, and a sweep may give what a table lacks."""
 
@@ -337,8 +284,14 @@ class _OfFile(GenerateJsonSchema):
         found.pop("title", None)
         if table not in (Study, StudyInfo):
             found.pop("required", None)
-        if table in _FURTHER:
-            found["additionalProperties"] = _FURTHER[table]
+        if table in (Range, Known):  # or tables around entries
+            found.pop("additionalProperties")
+        if table in _ENTRIES:
+            inside = _ENTRIES[table][0]
+            inside.model_rebuild()
+            kinds = [self.generate_inner(inside.__pydantic_core_schema__)]
+            kinds += [{"type": "array", "items": {"type": ["number", "string"]}}] * (table is Sweep)
+            found["additionalProperties"] = {"description": _ENTRIES[table][2], "anyOf": kinds}
         return found
 
     def _by_kind(self, table: type[OneOf]) -> JsonSchemaValue:

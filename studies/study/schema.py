@@ -140,6 +140,7 @@ Vdm = dict[str, float | str]
 CLAIMS = 14  # of the paper, see `vdmbench.claims`
 MOST_STEPS = 10_000  # of a load history: each keeps the displacement of every node
 MOST_NAMES = 200  # of models, regions, constraints
+MOST_VALUES = 100_000  # of an axis of a sweep
 MOST_LEVELS = 4  # of meshes that a reference's error bar is from
 
 
@@ -393,6 +394,24 @@ class Inclusion(Table):
         None,
         description="its Poisson's ratio, the tissue's where left out; ratios that differ are above 0",
     )
+
+
+class Range(Table):
+    """An axis as a range, of numbers"""
+
+    start: Any = Field(description="its first value")
+    stop: Any = Field(description="its last value")
+    num: int | None = Field(
+        None, description="how many values; a latin-hypercube takes none", ge=2, le=MOST_VALUES
+    )
+    scale: Literal["linear", "log"] = Field("linear", description="in equal steps or in equal ratios")
+
+
+class Known(Table):
+    """How well a number is known: one of the keys"""
+
+    sd: Any = Field(None, description="its standard deviation; the study has its mean")
+    range: Any = Field(None, description="list of its least and its most value, all between as likely")
 
 
 class Sweep(Table):

@@ -1,72 +1,62 @@
-"""The sweep of a study: its axes, their values in SI, and the cases that they make."""
+"""The sweep of a study, its axes and cases; and how well the numbers of a study are known."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
 
 from .checks import validate
 from .errors import MOST_TOLD, Finding, Loc, Source, unknown
-from .fields import NEVER_AN_INPUT, EntryError, Target, entries, targets, value_at
+from .fields import NEVER_AN_INPUT, Target, targets, value_at
 from .files import GEOMETRY_PATH, short_path
-from .schema import Inputs, Study
+from .kinds import Table
+from .schema import Inputs, Known, Range, Study
 from .units import shown, type_name
 
 Value = float | str
+T = TypeVar("T")
 # label, swept values by key, the data of a study with them
 Case = tuple[str, dict[str, Value], dict[str, Any]]
 
-OWN_KEYS = ("mode", "samples", "seed")  # of [sweep], which are no axis
-_OF_INPUTS = ("method", "samples", "seed")  # of [inputs], which are no input
-_STAR = "one-at-a-time"
+_STAR, _HYPERCUBE = "one-at-a-time", "latin-hypercube"
 _BASE = "base"  # label of the case that a star is about
-_RANGE_KEYS = ("start", "stop", "num", "scale")
-_MOST_VALUES = 100_000  # of one axis
 
 
-class Span(NamedTuple):
-    """The range of an axis, in SI."""
+class EntryError(ValueError):
+    """What is wrong with an entry of [sweep] or [inputs]; `inside` leads to the place in it."""
 
-    start: float
-    stop: float
-    log: bool
-
-    def at(self, fraction: float) -> float:
-        """The value at a fraction of the range, to 12 digits, so that 0.45 to 0.49 passes through 0.46."""
-        if fraction in (0.0, 1.0):
-            return self.stop if fraction else self.start
-        if self.log:
-            low, high = math.log(self.start), math.log(self.stop)
-            value = math.exp(low + (high - low) * fraction)
-        else:
-            value = self.start + (self.stop - self.start) * fraction
-        return float(f"{value:.12g}")
+    def __init__(self, message: str, *inside: str | int) -> None:
+        super().__init__(message)
+        self.inside = inside
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One swept key: its values in SI; where a Latin hypercube samples it, the ends and the range itself."""
+    """One swept key: its values in SI, those of a Latin hypercube the ends of the range that it samples."""
 
     key: str
     loc: Loc  # of the axis in the file
     target: Target
     values: tuple[Value, ...]
-    span: Span | None = None
+    log: bool = False
 
-    def as_written(self) -> list[Value] | dict[str, Value]:
-        """The axis as a study file could hold it, in SI."""
-        if self.span is None:
-            return list(self.values)
-        return {
-            "start": self.span.start,
-            "stop": self.span.stop,
-            "scale": "log" if self.span.log else "linear",
-        }
+    def at(self, fraction: float) -> float:
+        """The value at a fraction of the range, to 12 digits, so that 0.45 to 0.49 passes through 0.46."""
+        start, stop = float(self.values[0]), float(self.values[-1])
+        if fraction in (0.0, 1.0):
+            return stop if fraction else start
+        if self.log:
+            value = math.exp(math.log(start) + (math.log(stop) - math.log(start)) * fraction)
+        else:
+            value = start + (stop - start) * fraction
+        return float(f"{value:.12g}")
 
 
 @dataclass(frozen=True)
@@ -95,37 +85,64 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
         return [], []
-    given = {k: v for k, v in sweep.items() if k not in OWN_KEYS}
-    known = targets(data) if given else {}  # slow, and every case of a sweep is asked
-    sampled = sweep.get("mode") == "latin-hypercube"
-    axes: dict[str, Axis] = {}
-    findings: list[Finding] = []
-    for key, loc, value in entries(given, known, {"start", "stop"}, ("sweep",)):
+    known = targets(data) if sweep.keys() - _OWN["sweep"] else {}  # slow, and every case of a sweep is asked
+
+    def axis(key: str, loc: Loc, value: Any) -> Axis:
         if key not in known:
-            findings.append((loc, _unknown_key(key, list(known))))
-        elif key in axes:
-            findings.append((loc, "is swept twice"))
-        else:
-            try:
-                axes[key] = _axis(key, loc, known[key], value, sampled=sampled)
-            except EntryError as error:
-                findings.append(((*loc, *error.inside), str(error)))
-        if len(findings) > MOST_TOLD:
-            break  # the search for the key that was meant is slow
+            told = unknown(key, list(known), "key", list_all=False)
+            raise EntryError(f"{told} (an axis is the path of a key of the study)")
+        return _axis(key, loc, known[key], value, sampled=sweep.get("mode") == _HYPERCUBE)
+
+    axes, findings = _entries("sweep", sweep, axis, known, Range)
     findings += _check_mode(sweep, list(axes.values()), complete=not findings)
     return list(axes.values()), findings
 
 
-def _unknown_key(key: str, known: Sequence[str]) -> str:
-    return unknown(key, known, "key", list_all=False) + " (an axis is the path of a key of the study)"
+# keys of these tables that are no entries
+_OWN = {"sweep": frozenset(("mode", "samples", "seed")), "inputs": frozenset(("method", "samples", "seed"))}
+
+
+def _entries(
+    name: str, table: Mapping[str, Any], read: Callable[[str, Loc, Any], T], known: Any, kind: type[Table]
+) -> tuple[dict[str, T], list[Finding]]:
+    """What is read of each entry of [sweep] or [inputs], and what is wrong with the others."""
+    found: dict[str, T] = {}
+    findings: list[Finding] = []
+    entries = {key: value for key, value in table.items() if key not in _OWN[name]}
+    for key, loc, value in flattened(entries, known, kind, (name,)):
+        try:
+            if key in found:
+                raise EntryError("is given twice")
+            found[key] = read(key, loc, value)
+        except ValidationError as error:
+            findings += [((*loc, *fault["loc"]), fault["msg"]) for fault in error.errors()]
+        except EntryError as error:
+            findings.append(((*loc, *error.inside), str(error)))
+        if len(findings) > MOST_TOLD:
+            break  # the search for the key that was meant is slow
+    return found, findings
+
+
+def flattened(
+    table: Mapping[str, Any], known: Any, kind: type[Table], loc: Loc, prefix: str = ""
+) -> Iterator[tuple[str, Loc, Any]]:
+    """(key, place, entry) of a table of dotted keys; `tissue.poisson_ratio = ...` is as good as with quotes.
+
+    An entry that is a table has a key of `kind`; the others are tables around entries.
+    """
+    for name, value in table.items():
+        key, place = prefix + name, (*loc, name)
+        around = isinstance(value, Mapping) and value and not kind.model_fields.keys() & value.keys()
+        if around and key not in known:
+            yield from flattened(value, known, kind, place, f"{key}.")
+        else:
+            yield key, place, value
 
 
 def _axis(key: str, loc: Loc, target: Target, value: Any, *, sampled: bool) -> Axis:
+    """Raises EntryError, ValidationError."""
     if isinstance(value, dict):
-        span, count = _span(target, value, sampled=sampled)
-        if count is None:
-            return Axis(key, loc, target, (span.start, span.stop), span)
-        return Axis(key, loc, target, tuple(span.at(i / (count - 1)) for i in range(count)))
+        return _range(key, loc, target, Range.model_validate(value), sampled=sampled)
     if not isinstance(value, list):
         raise EntryError(f"must be a list of values, or {{ start, stop, num }}, not {type_name(value)}")
     if sampled:
@@ -133,6 +150,24 @@ def _axis(key: str, loc: Loc, target: Target, value: Any, *, sampled: bool) -> A
     if not value:
         raise EntryError("has no values; list at least one")
     return Axis(key, loc, target, tuple(_value(target, item, place) for place, item in enumerate(value)))
+
+
+def _range(key: str, loc: Loc, target: Target, given: Range, *, sampled: bool) -> Axis:
+    if target.si is None:
+        raise EntryError("has no range: list its values")
+    start, stop = (float(_value(target, getattr(given, name), name)) for name in ("start", "stop"))
+    if start == stop:
+        raise EntryError("start and stop are the same value")
+    if given.scale == "log" and min(start, stop) <= 0:
+        raise EntryError("a log scale needs a positive start and stop")
+    axis = Axis(key, loc, target, (start, stop), given.scale == "log")
+    if sampled:
+        if given.num is not None:
+            raise EntryError("a latin-hypercube has one number of samples for all axes: leave num out", "num")
+        return axis
+    if given.num is None:
+        raise EntryError(f"is missing: {Range.model_fields['num'].description}", "num")
+    return Axis(key, loc, target, tuple(axis.at(i / (given.num - 1)) for i in range(given.num)))
 
 
 def _value(target: Target, value: Any, *inside: str | int) -> Value:
@@ -149,38 +184,9 @@ def _value(target: Target, value: Any, *inside: str | int) -> Value:
     return value
 
 
-def _span(target: Target, table: Mapping[str, Any], *, sampled: bool) -> tuple[Span, int | None]:
-    """A range and its number of values, None where it is sampled. Raises EntryError."""
-    for name in table:
-        if name not in _RANGE_KEYS:
-            raise EntryError(unknown(name, _RANGE_KEYS, "key"), name)
-    if target.si is None:
-        raise EntryError("has no range: list its values")
-    for name in ("start", "stop"):
-        if name not in table:
-            raise EntryError(f"{name} is missing")
-    start, stop = (float(_value(target, table[name], name)) for name in ("start", "stop"))
-    if start == stop:
-        raise EntryError("start and stop are the same value")
-    scale = table.get("scale", "linear")
-    if scale not in ("linear", "log"):
-        raise EntryError("must be linear or log", "scale")
-    if scale == "log" and min(start, stop) <= 0:
-        raise EntryError("a log scale needs a positive start and stop")
-    span = Span(start, stop, scale == "log")
-    if sampled:
-        if "num" in table:
-            raise EntryError("a latin-hypercube has one number of samples for all axes: leave num out", "num")
-        return span, None
-    count = table.get("num")
-    if isinstance(count, bool) or not isinstance(count, int) or not 2 <= count <= _MOST_VALUES:
-        raise EntryError(f"must be a whole number from 2 to {_MOST_VALUES}", "num")
-    return span, count
-
-
 def _check_mode(sweep: Mapping[str, Any], axes: Sequence[Axis], *, complete: bool) -> Iterator[Finding]:
     mode = sweep.get("mode", "grid")
-    if mode == "latin-hypercube":
+    if mode == _HYPERCUBE:
         if "samples" not in sweep:
             yield ("sweep", "samples"), "is missing: the number of cases of a latin-hypercube"
         if complete and not axes:
@@ -202,94 +208,75 @@ def _check_mode(sweep: Mapping[str, Any], axes: Sequence[Axis], *, complete: boo
 # --- cases ---
 
 
-def case_count(data: Mapping[str, Any], axes: Sequence[Axis]) -> int:
-    """How many cases a sound sweep has."""
-    sweep = data.get("sweep", {})
-    if sweep.get("mode") == "latin-hypercube":
-        return int(sweep["samples"])
-    if sweep.get("mode") == _STAR:
-        return 1 + sum(len(_off_base(axis, _as_written(data, axis))) for axis in axes)
-    lengths = [len(axis.values) for axis in axes]
-    return min(lengths, default=1) if sweep.get("mode") == "zip" else math.prod(lengths)
-
-
 def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
     """The cases of a sound sweep, in order: the last axis of a grid varies fastest, a star begins with its base."""
     sweep = data.get("sweep", {})
     rest = {key: value for key, value in data.items() if key != "sweep"}
-    if axes and sweep.get("mode") == _STAR:
-        yield from _star(rest, axes)
-        return
-    for values in _combinations(sweep, axes):
-        case = rest
-        for axis, value in zip(axes, values, strict=True):
-            case = substituted(case, axis.target.loc, value)
-        swept = dict(zip((axis.key for axis in axes), values, strict=True))
-        yield _label(axes, values), swept, case
-
-
-def _combinations(sweep: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[tuple[Value, ...]]:
-    if not axes:
-        return iter([()])
-    mode = sweep.get("mode", "grid")
-    if mode == "grid":
-        return itertools.product(*(axis.values for axis in axes))
-    if mode == "zip":
-        return iter(zip(*(axis.values for axis in axes), strict=True))
-    from scipy.stats import qmc  # half a second: only where a study samples
-
-    points = qmc.LatinHypercube(len(axes), rng=sweep.get("seed", 0)).random(int(sweep["samples"]))
-    order = sorted(axis.key for axis in axes)  # the samples do not depend on the order in the file
-    columns = [
-        [axis.span.at(float(fraction)) for fraction in points[:, order.index(axis.key)]]
-        for axis in axes
-        if axis.span is not None
-    ]
-    return iter(zip(*columns, strict=True))
-
-
-def _star(data: dict[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
-    """The study as it is written, then each axis alone; a key that the file leaves out has no value in the base."""
-    written = {axis.key: value for axis in axes if (value := _as_written(data, axis)) is not None}
-    yield _BASE, written, data
+    star = bool(axes) and sweep.get("mode") == _STAR
     names = _names(axes)
+    # a key that the file leaves out has no value in the base of a star
+    base = (
+        {axis.key: own for axis in axes if (own := as_given(rest, axis.target)) is not None} if star else {}
+    )
+    if star:
+        yield _BASE, base, rest
+    for changed in _off_base(axes, base) if star else _combinations(sweep, axes):
+        case = rest
+        for axis, value in changed:
+            case = substituted(case, axis.target.loc, value)
+        label = ", ".join(_named_value(names[axis.key], axis, value) for axis, value in changed)
+        yield label, base | {axis.key: value for axis, value in changed}, case
+
+
+def _combinations(sweep: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[list[tuple[Axis, Value]]]:
+    mode = sweep.get("mode", "grid")
+    rows: Any = itertools.product(*(axis.values for axis in axes))
+    if mode == "zip" and axes:
+        rows = zip(*(axis.values for axis in axes), strict=True)
+    elif mode == _HYPERCUBE:
+        from scipy.stats import qmc  # half a second: only where a study samples
+
+        points = qmc.LatinHypercube(len(axes), rng=sweep.get("seed", 0)).random(int(sweep["samples"]))
+        order = sorted(axis.key for axis in axes)  # the samples do not depend on the order in the file
+        rows = ([axis.at(float(row[order.index(axis.key)])) for axis in axes] for row in points)
+    for row in rows:
+        yield list(zip(axes, row, strict=True))
+
+
+def _off_base(axes: Sequence[Axis], base: Mapping[str, Value]) -> Iterator[list[tuple[Axis, Value]]]:
+    """Each axis alone, with the values that are not the base's own."""
     for axis in axes:
-        for value in _off_base(axis, written.get(axis.key)):
-            label = _named_value(names[axis.key], axis, value)
-            yield label, {**written, axis.key: value}, substituted(data, axis.target.loc, value)
+        own = base.get(axis.key)
+        for value in axis.values:
+            if isinstance(value, str) or isinstance(own, str) or own is None:
+                same = value == own
+            else:
+                same = math.isclose(
+                    value, own, rel_tol=1e-14
+                )  # "1 mm" and 0.001 may differ in their last bit
+            if not same:
+                yield [(axis, value)]
 
 
-def _as_written(data: Mapping[str, Any], axis: Axis) -> Value | None:
-    """The study's own value of an axis' key, None where it has none that is sound."""
-    value = value_at(data, axis.target.loc)
-    if value is None:
-        return None
+def as_given(data: Mapping[str, Any], target: Target) -> Value | None:
+    """The study's own value of a key, None where it has none that is sound."""
+    value = value_at(data, target.loc)
     try:
-        return _value(axis.target, value)
+        return None if value is None else _value(target, value)
     except EntryError:
         return None  # the study's own checks say what is wrong
 
 
-def _off_base(axis: Axis, base: Value | None) -> list[Value]:
-    """The values of an axis that are not the base's own."""
-    return [value for value in axis.values if not _same(value, base)]
-
-
-def _same(value: Value, base: Value | None) -> bool:
-    if isinstance(value, str) or isinstance(base, str) or base is None:
-        return value == base
-    return math.isclose(value, base, rel_tol=1e-14)  # "1 mm" and 0.001 may differ in their last bit
-
-
 def substituted(data: Any, loc: Loc, value: Value) -> Any:
-    """A copy of `data` with `value` at a place; tables on the way that are missing are made."""
+    """A copy of `data` with `value` at a place; tables on the way that are missing are made, no others."""
     if not loc:
         return value
-    first, *rest = loc
+    first, rest = loc[0], loc[1:]
     if isinstance(data, list | tuple) and isinstance(first, int):
-        return [substituted(item, tuple(rest), value) if i == first else item for i, item in enumerate(data)]
-    table = data if isinstance(data, dict) else {}
-    return {**table, first: substituted(table.get(first), tuple(rest), value)}
+        return [substituted(item, rest, value) if i == first else item for i, item in enumerate(data)]
+    if data is not None and not isinstance(data, dict):
+        return data
+    return {**(data or {}), first: substituted((data or {}).get(first), rest, value)}
 
 
 def first_case(data: dict[str, Any], axes: Sequence[Axis]) -> dict[str, Any]:
@@ -297,30 +284,9 @@ def first_case(data: dict[str, Any], axes: Sequence[Axis]) -> dict[str, Any]:
     if isinstance(data.get("sweep"), dict) and data["sweep"].get("mode") == _STAR:
         return data
     for axis in axes:
-        if _is_absent(data, axis.target.loc):
+        if value_at(data, axis.target.loc) is None:
             data = substituted(data, axis.target.loc, axis.values[0])
     return data
-
-
-def _is_absent(data: Any, loc: Loc) -> bool:
-    """Whether a key, or a table on the way to it, is not there; what is there but of another kind is not absent."""
-    for part in loc:
-        if isinstance(data, dict):
-            if part not in data:
-                return True
-            data = data[part]
-        elif isinstance(data, list | tuple) and isinstance(part, int) and part < len(data):
-            data = data[part]
-        else:
-            return False
-    return False
-
-
-def _label(axes: Sequence[Axis], values: Sequence[Value]) -> str:
-    names = _names(axes)
-    return ", ".join(
-        _named_value(names[axis.key], axis, value) for axis, value in zip(axes, values, strict=True)
-    )
 
 
 def _names(axes: Sequence[Axis]) -> dict[str, str]:
@@ -332,8 +298,7 @@ def _names(axes: Sequence[Axis]) -> dict[str, str]:
 
 def _named_value(name: str, axis: Axis, value: Value) -> str:
     unit = "" if axis.target.unit == "1" else f" {axis.target.unit}"
-    shown_value = short_path(value) if axis.key == GEOMETRY_PATH else value
-    return f"{name} = {_shown(shown_value)}{unit}"
+    return f"{name} = {_shown(short_path(value) if axis.key == GEOMETRY_PATH else value)}{unit}"
 
 
 def _short(key: str) -> str:
@@ -355,18 +320,16 @@ def check_cases(
     data: Mapping[str, Any], axes: Sequence[Axis], most: int, source: Source
 ) -> tuple[list[ResolvedCase], list[Finding]]:
     """The cases of a sound sweep, or what is wrong with some of them: per key the first case, with a count."""
-    count = case_count(data, axes)
-    if count > most:
-        text = f"makes {count} cases, more than the {most} allowed; sweep less, or raise study.max_cases"
+    made = list(itertools.islice(cases(data, axes), most + 1))
+    if len(made) > most:
+        text = f"makes more cases than the {most} allowed; sweep less, or raise study.max_cases"
         return [], [(("sweep",), text)]
     swept_units = {axis.key: axis.target.unit for axis in axes}
     at_axis = {axis.target.loc: axis.loc for axis in axes}
     resolved: list[ResolvedCase] = []
     faults: dict[Loc, list[str]] = {}
-    labels: Counter[str] = Counter()
-    for label, swept, case in cases(data, axes):
+    for label, swept, case in made:
         study, findings = validate(case, source)
-        labels[label] += 1
         for loc, text in findings:
             place = loc if label == _BASE else at_axis.get(loc, loc)  # the base is what the file says
             faults.setdefault(place, []).append(f"{text} (in the case {label})" if label else text)
@@ -376,7 +339,9 @@ def check_cases(
         (loc, texts[0] + (f"; {len(texts) - 1} more cases are alike" if len(texts) > 1 else ""))
         for loc, texts in faults.items()
     ]
-    repeated = next((label for label, count in labels.items() if count > 1), None)
+    repeated = next(
+        (label for label, count in Counter(made_ for made_, *_ in made).items() if count > 1), None
+    )
     if repeated is not None:
         found.append((("sweep",), f"makes the case {repeated} more than once"))
     return resolved, found
@@ -451,17 +416,9 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
         for key, target in targets(data).items()
         if target.si is not None and target.loc[0] not in NEVER_AN_INPUT
     }
-    found: dict[str, Input] = {}
-    findings: list[Finding] = []
-    for key, loc, entry in _entries(data, known):
-        try:
-            if key in found:
-                raise EntryError("is given twice")
-            found[key] = _input(data, key, entry, known)
-        except EntryError as error:
-            findings.append(((*loc, *error.inside), str(error)))
-        if len(findings) > MOST_TOLD:
-            break
+    found, findings = _entries(
+        "inputs", data["inputs"], lambda key, _, entry: _input(data, key, entry, known), known, Known
+    )
     if not found and not findings:
         findings.append((("inputs",), f"names no key; add one, such as tissue.youngs_modulus: {_FORMS}"))
     return [found[key] for key in sorted(found)], findings
@@ -469,44 +426,34 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
 
 def as_written(data: Mapping[str, Any]) -> dict[str, Any]:
     """The table [inputs] as a file could hold it, in SI."""
-    table: Mapping[str, Any] = data["inputs"]
-    own = {key: table[key] for key in _OF_INPUTS if key in table}
+    own = {key: value for key, value in data["inputs"].items() if key in _OWN["inputs"]}
     for one in read_inputs(data)[0]:
         own[one.key] = {"sd": one.sd} if one.span is None else {"range": list(one.span)}
     return own
 
 
-def _entries(data: Mapping[str, Any], known: Collection[str]) -> Iterator[tuple[str, Loc, Any]]:
-    """(key, place, entry) of the table [inputs]."""
-    table = {key: value for key, value in data["inputs"].items() if key not in _OF_INPUTS}
-    return entries(table, known, {"sd", "range"}, ("inputs",))
-
-
 def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Target]) -> Input:
+    """Raises EntryError, ValidationError."""
     if key.partition(".")[0] == "geometry":
         raise EntryError("is another body with other nodes, which cannot be held against this one; sweep it")
     if key not in known:
         raise EntryError(unknown(key, list(known), "quantity", list_all=False))
     if not isinstance(entry, Mapping):
         raise EntryError(f"must be a table: {_FORMS}; not {type_name(entry)}")
-    for name in entry:
-        if name not in ("sd", "range"):
-            raise EntryError(unknown(name, ("sd", "range"), "key"), name)
-    if len(entry) != 1:
+    given, target = Known.model_validate(dict(entry)), known[key]
+    if (given.sd is None) == (given.range is None):
         raise EntryError(f"{_FORMS}, one of them")
-    value = value_at(data, known[key].loc)
+    value = value_at(data, target.loc)
     if not isinstance(value, float):
         raise EntryError("has no value in this study; give it one, or leave it out here")
-    target = known[key]
-    if "sd" in entry:
-        deviation = float(_value(target, entry["sd"], "sd"))
+    if given.sd is not None:
+        deviation = float(_value(target, given.sd, "sd"))
         if deviation <= 0:
             raise EntryError(f"must be positive, not {deviation:g}", "sd")
         return Input(key, target.loc, target.unit, value, deviation, None)
-    ends = entry["range"]
-    if not isinstance(ends, list | tuple) or len(ends) != 2:
+    if not isinstance(given.range, list | tuple) or len(given.range) != 2:
         raise EntryError("must be a list of two values, the least and the most", "range")
-    low, high = (float(_value(target, end, "range")) for end in ends)
+    low, high = (float(_value(target, end, "range")) for end in given.range)
     if not low < high:
         raise EntryError("must begin with the smaller value, and end with another", "range")
     if not low <= value <= high:
@@ -591,7 +538,8 @@ def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
         if other is None:  # told at the input that makes the fault
             loc, text = faults[0]
             key = next((key for key in changed if locs[key] == loc), next(iter(changed)))
-            place = {name: place for name, place, _ in _entries(data, targets(data))}.get(key, ("inputs",))
+            entries = flattened(data["inputs"], targets(data), Known, ("inputs",))
+            place = {name: place for name, place, _ in entries}.get(key, ("inputs",))
             return [], [(place, f"at {changed[key]:g}: {text}; give a range that ends before")]
         found.append(Variation(changed, other))
     return found, []
