@@ -28,7 +28,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, ErrorDetails, InitErrorDetails, PydanticCustomError, core_schema
 
-from .errors import Loc, Source, listed, unknown
+from .errors import MOST_TOLD, Loc, Source, listed, unknown
 from .units import NUMBER, QuantityError, shown, to_si, type_name
 
 MAX_NAME = 64  # characters
@@ -232,7 +232,8 @@ class Table(BaseModel):
         try:
             return cls.of(data, handler, info)
         except ValidationError as error:
-            faults = [cls._fault(details) for details in error.errors(include_url=False)]
+            found = error.errors(include_url=False)[: MOST_TOLD + 1]  # some take a search for the name meant
+            faults = [cls._fault(details) for details in found]
             raise ValidationError.from_exception_data(cls.__name__, faults) from None
 
     @classmethod
@@ -365,7 +366,7 @@ class OneOf(Table):
         }
         if difflib.get_close_matches(key[:80], cls.keys()):
             return super().unknown_key(key)
-        return f"{cls.called()} has no {key}; it takes {listed(takes)}"
+        return f"{cls.called()} has no {key if is_safe_name(key) else shown(key)}; it takes {listed(takes)}"
 
     if TYPE_CHECKING:
 
