@@ -67,12 +67,6 @@ def test_tests_assert_on_their_records(pytester: pytest.Pytester) -> None:
     )
 
 
-def test_without_the_option_there_is_no_table(pytester: pytest.Pytester) -> None:
-    pytester.makepyfile(RECORDING)
-    result = pytester.runpytest("-p", "tests.verification.records")
-    result.stdout.no_fnmatch_line("*checks pass*")
-
-
 def test_the_stored_table_is_whole_and_passes() -> None:
     text = (RESULTS / "verification.csv").read_text(encoding="utf-8")
     rows = from_csv(text)
