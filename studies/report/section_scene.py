@@ -22,6 +22,7 @@ from .blocks import Scene, Still
 from .picture import COLOUR_MAPS, Panel, still_of
 from .scene_picture import Outline, Part, Stage, scene_svg, style_of
 
+MOST_STRAIN = 0.1  # within a part, beyond which it is told
 _USUAL = 0.95  # of the nodes of a scan are no further from its surface than is told
 _ALL_ROUND = (
     0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
@@ -186,11 +187,26 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     size = _over(cases, "geometry", "mesh_size", "m")
     nodes = span([len(other.points) for other in cases], "1", 9)
     rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))
+    rows += [("Parts", words) for name in case.models if (words := _parts_words(case, name))]
     for constraint in case.study.constraints:
         name, kind = name_of(constraint), kind_of(constraint)
         mask = case.regions[constraint.region]
         rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
     return [(what, value) for what, value in rows if value]
+
+
+def _parts_words(case: CaseResult, name: str) -> str:
+    """Into how many parts a model cut the body, and how far each turned and is strained at full load."""
+    found = {key: values[case.full_load] for key, values in case.models[name].scalars.items()}
+    if not found.get("parts", math.nan) > 0:
+        return ""
+    count, strain = int(found["parts"]), float(found["part_strain"])
+    turns = listed(f"{np.degrees(found[f'rotation_of_part_{k}']):.0f}°" for k in range(1, count + 1))
+    told = f"{name}: {plural(count, 'part')}, turned by {turns}, strained by up to {short_percent(strain)} within"
+    if strain > MOST_STRAIN:
+        told += " (a part follows small strain)"
+    bar = float(found.get("parts_error", math.nan))
+    return told + (f"; twice as many change the answer by {short_percent(bar)}" if math.isfinite(bar) else "")
 
 
 def _inclusion_words(number: int, entry: Inclusion, case: CaseResult, cases: Sequence[CaseResult]) -> str:

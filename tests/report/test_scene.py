@@ -26,6 +26,20 @@ def told(label: str, nu: float, force: float, **more: Any) -> CaseResult:
     return asked(case, **inputs)
 
 
+def test_parts_are_told_with_their_turns_and_strain() -> None:
+    case = told("a", 0.45, 0.05)
+    angles = {"rotation_of_part_1": 0.0, "rotation_of_part_2": np.pi / 6}
+    scalars = {"parts": 2.0, "part_strain": 0.12, "parts_error": 0.03, **angles}
+    at_steps = {name: np.full(len(case.load_factors), value) for name, value in scalars.items()}
+    models = {"m": dataclasses.replace(case.models["m"], scalars=at_steps)}
+    words = dict(scene_words(dataclasses.replace(case, models=models), [case]))
+    assert words["Parts"] == (
+        "m: 2 parts, turned by 0° and 30°, strained by up to 12 % within (a part follows small strain); "
+        "twice as many change the answer by 3 %"
+    )
+    assert "Parts" not in dict(scene_words(case, [case]))
+
+
 def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
     """The base ends at z = -0.7 R, where the ball is 71 mm across."""
     cases = [told("a", 0.45, 0.05), told("b", 0.4999, 0.2)]

@@ -402,12 +402,17 @@ class Parts:
         return float(pressure[: self.n_parts] @ volumes / volumes.sum())
 
     def scalars(self, balance: Balance) -> dict[str, float]:
-        """`parts`, `part_rotation` the largest between two parts [rad], `part_strain` the largest within one."""
+        """`parts`, `part_rotation` the largest between two [rad], `part_strain` the largest within one.
+
+        And `rotation_of_part_1` and so on, of each from rest [rad].
+        """
         turns = np.array([state.rotation for state in balance.parts.states])
-        between = np.einsum("aij,bij->ab", turns, turns)
-        angle = np.arccos(np.clip((between - 1.0) / 2.0, -1.0, 1.0))
+        between = _angles(np.einsum("aij,bij->ab", turns, turns))
         strain = max(surface_strain(state) for state in balance.parts.states)
-        return {"parts": float(self.n_parts), "part_rotation": float(angle.max()), "part_strain": strain}
+        found = {"parts": self.n_parts, "part_rotation": between.max(), "part_strain": strain}
+        each = _angles(np.trace(turns, axis1=1, axis2=2))
+        found |= {f"rotation_of_part_{k}": angle for k, angle in enumerate(each, 1)}
+        return {name: float(value) for name, value in found.items()}
 
     def reserved(self, status: Status, balance: Balance) -> Status:
         """The status, with what the parts do not follow: too few of them, strain within one."""
@@ -457,6 +462,11 @@ def _condensed(
     areas = form.surface.nodal_areas / form.surface.area
     body = DeformableSurface(form.surface)
     return _Part(nodes, form, body, inner, shared, places, owns, walls, areas, block, follows, carried)
+
+
+def _angles(traces: Array) -> Array:
+    """Of rotations by their traces [rad]."""
+    return np.asarray(np.arccos(np.clip((traces - 1.0) / 2.0, -1.0, 1.0)))
 
 
 class _Nothing:
