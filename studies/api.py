@@ -11,8 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .machine.places import cache_directory, results_directory
-from .machine.processors import usable_processors
+from .machine import cache_directory, results_directory, usable_processors
 from .measures.case import CaseResult, Run
 
 if TYPE_CHECKING:

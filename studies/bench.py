@@ -30,8 +30,7 @@ from . import models
 from .body.mesh_cache import mesh_from_cache
 from .body.refine import refined
 from .body.surface_measures import Surface
-from .machine.files import json_text, write_atomically
-from .machine.processors import usable_processors
+from .machine import json_text, usable_processors, write_atomically
 from .measures.metrics import DEFORMATION, VECTOR, History, evaluate
 from .measures.reference import FailedReferenceError, level_scene, own_error, require_converged, restricted
 from .measures.uncertainty import is_resolved

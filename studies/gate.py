@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from .machine.files import write_atomically
+from .machine import write_atomically
 from .measures.case import CaseResult, Run
 from .measures.frame import at_full_load, frame
 from .measures.metrics import METRICS, Sense

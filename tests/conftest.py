@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import os
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from tests.command import own_signals
 from tests.command import vdmbench as command
 from vdmbench.body import imported
 from vdmbench.body.read_apart import read_clean
-from vdmbench.machine.locks import lock
+from vdmbench.machine import lock
 
 ROOT = Path(__file__).parents[1]
 if Path(vdmbench.__file__).resolve().parent != ROOT / "studies":
@@ -51,7 +50,7 @@ def quickstart(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if "PYTEST_XDIST_WORKER" in os.environ:
         base = base.parent
     directory = base / "quickstart"
-    with lock(base / ".quickstart", fcntl.LOCK_EX, patience=600):
+    with lock(base / ".quickstart", wait=True):
         if not directory.exists():
             directory.mkdir()
             result = command("run", "quickstart", cwd=directory)

@@ -525,7 +525,7 @@ def claims(name: str, arguments: Sequence[str]) -> None:
     import pandas as pd
 
     from vdmbench.claims import measure, read_points, write_points
-    from vdmbench.machine.places import cache_directory
+    from vdmbench.machine import cache_directory
 
     own = EVIDENCE[name]
     points = measure(cache_directory(), map(int, arguments), lambda case: print(case, file=sys.stderr))

@@ -26,8 +26,7 @@ from vdm import Model, Parameters
 from vdm.problem import Step
 from vdm.solvers.compliance import ContactCompliance
 from vdm.solvers.linear import LinearSolver
-from vdmbench.machine.memory import peak_bytes_since, reset_peak
-from vdmbench.machine.processors import processor_name
+from vdmbench.machine import peak_bytes_since, processor_name, reset_peak
 
 README, PART = ROOT / "vdm" / "README.md", "speed"
 HEAD = ("what", "nodes", "median")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from solver_common.arrays import Index
 
-from ..machine.sealed import read_arrays, write_arrays
+from ..machine import read_arrays, write_arrays
 from ..study.shapes import Geometry, geometry_key
 from .mesh import Mesh
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from solver_common.arrays import Array, Index, Mask
 
-from ..machine.files import require_end
+from ..machine import require_end
 from ..study.errors import MeshError
 from .mesh import Mesh
 

@@ -119,7 +119,7 @@ def main(what: str, path: Path, memory: int) -> None:
     """Read a file with so many bytes of memory; standard output gets the answer, and no word of the readers."""
     import resource
 
-    from ..machine.memory import limit_memory
+    from ..machine import limit_memory
 
     output = os.dup(1)
     os.dup2(2, 1)

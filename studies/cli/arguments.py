@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ..machine.streams import harmless
+from ..machine import harmless
 from .output import UsageError
 
 VERBS = (  # in the order in which they are told
@@ -75,9 +75,7 @@ def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
         sub.add_argument("--json", action="store_true", help="print JSON")
         for words, how in verb.ARGUMENTS:
             sub.add_argument(*words, **how)
-        sub.set_defaults(
-            verb=verb.run, goes_on=getattr(verb, "GOES_ON", False), solves=getattr(verb, "SOLVES", True)
-        )
+        sub.set_defaults(verb=verb.run, goes_on=getattr(verb, "GOES_ON", False))
     return parser
 
 

@@ -49,16 +49,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     options = None
     try:
-        from ..machine.streams import make_patient
+        from ..machine import make_output_harmless
 
-        make_patient()
-        from ..machine.memory import heed_limits, require_room
+        make_output_harmless()
         from .arguments import parse
 
-        heed_limits()
         options = parse(arguments)
-        if options.solves:
-            require_room()
         code = options.verb(options)
         interrupt.stopped = True
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- told, whatever it is
@@ -67,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             code = _complain_of_interrupt(options)
         else:
             code = _complain_of(error)
-    _tell_of_lost_output()
+    _flush_output()
     gc.freeze()  # the end is no time to look for garbage
     sys.exit(code)
 
@@ -84,28 +80,31 @@ def _complain_of_interrupt(options: object) -> int:
     return complain(f"interrupted; what is done is kept, the same command {again}", INTERRUPTED)
 
 
-def _tell_of_lost_output() -> None:
-    """It changes no exit code: what was to be done is done."""
-    from ..machine.streams import lost_output
+def _flush_output() -> None:
+    """What does not get out is told, unless its reader is gone; the exit code stays: all is done."""
+    from .output import OK, complain
 
-    for sentence in lost_output():
-        print(f"vdmbench: {sentence}", file=sys.stderr)
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for Python's own flush at the end
+        if not isinstance(error, BrokenPipeError):
+            complain(f"standard output: {error.strerror}; what was to be shown there is incomplete", OK)
 
 
 def _complain_of(error: BaseException) -> int:
     """What is wrong, and the exit code of an error; a ValueError of ours always carries a sentence."""
-    from ..machine.memory import MemoryLimitError, is_lack_of_memory, memory_limits
-    from .output import BUG, DAMAGED, MACHINE, USAGE, complain, tell
-
-    if is_lack_of_memory(error) and not isinstance(error, OSError):
-        limits = memory_limits()
-        said = str(MemoryLimitError(limits)) if limits else "out of memory"
-        return complain(said, MACHINE)
     from ..study.errors import install_line
+    from .output import BUG, DAMAGED, INTERRUPTED, MACHINE, USAGE, complain, tell
 
     if line := install_line(error):
         return complain(f"{error}; install it: {line}", MACHINE)
     match error:
+        case BrokenPipeError():  # nobody reads any more
+            return INTERRUPTED
+        case MemoryError():
+            return complain("out of memory", MACHINE)
         case ImportError():
             return complain(str(error), MACHINE)
         case FileExistsError(filename=name):  # where a directory was to be made

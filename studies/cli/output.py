@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..machine.files import json_text
-from ..machine.streams import harmless
+from ..machine import harmless, json_text
 from ..study.errors import plural
 
 if TYPE_CHECKING:
@@ -122,7 +122,8 @@ def print_table(rows: Sequence[dict[str, str]]) -> None:
 
 def tell(text: str) -> None:
     """A line of progress, on standard error."""
-    print(harmless(text), file=sys.stderr, flush=True)
+    with contextlib.suppress(OSError):  # a full disk; a terminal that is gone ends no run
+        print(harmless(text), file=sys.stderr, flush=True)
 
 
 def print_json(value: Any) -> int:
@@ -133,7 +134,7 @@ def print_json(value: Any) -> int:
 def complain(text: str, code: int) -> int:
     """Say what is wrong, a problem a line; the exit code is handed on."""
     for line in text.split("\n"):
-        print(f"vdmbench: {harmless(line)}", file=sys.stderr)
+        tell(f"vdmbench: {line}")
     return code
 
 

@@ -6,8 +6,8 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from ..machine.streams import harmless
-from .output import OK, complain
+from ..machine import harmless
+from .output import OK, complain, tell
 
 if TYPE_CHECKING:
     from ..work.run import Event
@@ -61,7 +61,7 @@ class Progress:
 
     def _say(self, text: str) -> None:
         self.spoke = time.monotonic()
-        print(text, file=sys.stderr, flush=True)
+        tell(text)
 
 
 def _bar() -> Any:

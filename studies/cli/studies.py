@@ -6,8 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..machine.places import cache_directory, results_directory
-from ..machine.processors import usable_processors
+from ..machine import cache_directory, results_directory, usable_processors
 from .output import UsageError
 from .progress import Progress
 

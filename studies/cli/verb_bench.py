@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..machine.places import cache_directory, results_directory
+from ..machine import cache_directory, results_directory
 from .arguments import STUDY_READS, directory, option, study_argument
 from .output import OK, UsageError, print_json, print_table, tell
 from .studies import load, make_plan

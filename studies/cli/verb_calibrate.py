@@ -38,7 +38,7 @@ ARGUMENTS = (
 def run(options: argparse.Namespace) -> int:
     """Fit the VDM parameters on half of a study's loads; print and write the table for its `[vdm]`."""
     from ..calibrate import as_json, as_toml, body, calibrate, check, check_fit, finer_study, table
-    from ..machine.files import json_text, write_atomically
+    from ..machine import json_text, write_atomically
     from ..study.errors import StudyError
 
     study, path = load(options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..machine.places import cache_directory
+from ..machine import cache_directory
 from .arguments import directory, option, output_file
 from .output import OK, UsageError, folded, print_json, print_table, tell
 

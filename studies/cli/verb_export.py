@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..machine.files import whole_directory, write_atomically
-from ..machine.streams import harmless
+from ..machine import whole_directory, write_atomically
 from .arguments import CASE, STUDY_READS, directory, given_run_directory, option, study_argument
 from .output import OK, UsageError, print_json
 from .studies import load, make_plan, numbered_case
@@ -56,7 +55,7 @@ def _export_run(options: argparse.Namespace, out: Path) -> int:
             points, fields = surface_fields(case)
             write_surface_vtu(begun / name, points, case.triangles, fields)
             names.append(name)
-    unit = ", ".join(sorted({harmless(unit_of(case)) for case in run.cases}))
+    unit = ", ".join(sorted({unit_of(case) for case in run.cases}))
     return _told(options, out, names, [f"lengths in meshes/ in {unit}"])
 
 

@@ -21,7 +21,7 @@ ARGUMENTS = (
 def run(options: argparse.Namespace) -> int:
     """Compare a run with its baseline."""
     from .. import gate
-    from ..machine.files import write_atomically
+    from ..machine import write_atomically
     from ..store.cases import read_run
 
     run = read_run(options.directory)

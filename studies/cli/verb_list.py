@@ -9,7 +9,6 @@ from .arguments import flag
 from .output import OK, print_json
 
 SUMMARY = "list the shipped studies, or the models"
-SOLVES = False
 ARGUMENTS = (flag("--models", "list the models with what a study may set"),)
 
 

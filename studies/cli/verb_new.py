@@ -14,7 +14,6 @@ from .output import OK, UsageError, print_json
 SUMMARY = "write a study file to begin with, or a copy of another study"
 TEMPLATE = Path(__file__).with_name("new_study.toml")
 _NAME = re.compile(r'^(\s*name\s*=\s*)(?:"[^"\n]*"|\'[^\'\n]*\')', re.MULTILINE)
-SOLVES = False
 ARGUMENTS = (
     option("name", metavar="NAME", help="name of the study; NAME.toml is written, which must be new"),
     option("--from", dest="source", metavar="STUDY", help="a study to copy, a file or a shipped one"),

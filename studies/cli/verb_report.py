@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from .arguments import option, output_file, run_directory
-from .output import print_run, tell
+from .output import print_run
 
 SUMMARY = "rebuild the report from the stored results"
 ARGUMENTS = (
@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> int:
     """Rebuild the report of a directory."""
     from ..report.rebuild import rebuild
 
-    run, report = rebuild(options.directory, tell)
+    run, report = rebuild(options.directory)
     if options.picture:
         from ..report.page import write_picture
 

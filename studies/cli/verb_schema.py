@@ -11,7 +11,6 @@ MORE = (
     "Print the JSON schema of study files. Save it, and name it in the first line of a study, #:schema study.json, "
     "for an editor that knows TOML schemas."
 )
-SOLVES = False
 ARGUMENTS = ()
 
 

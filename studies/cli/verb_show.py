@@ -6,7 +6,6 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..machine.streams import harmless
 from .arguments import CASE, CHANGES, STUDY_READS, flag, option, output_file, study_argument
 from .output import OK, UsageError, print_json
 from .studies import load, make_plan, numbered_case
@@ -33,7 +32,7 @@ ARGUMENTS = (
 
 def run(options: argparse.Namespace) -> int:
     """Mesh the surface, put the scene on it, draw it."""
-    from ..machine.files import write_atomically
+    from ..machine import write_atomically
     from ..report.scene_picture import Stage, scene_png
     from ..report.scene_window import has_display, scene_plotter
     from ..report.section_scene import outlines_of, parts_of, scene_words
@@ -55,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         return print_json({"picture": str(path), "scene": dict(words)})
     for line in told:
-        print(harmless(line))
+        print(line)
     print(f"picture: {path}")
     return OK
 

@@ -18,7 +18,7 @@ import numpy as np
 from solver_common.solution import Status
 
 from ..body.surface_measures import enclosed_volumes
-from ..machine.memory import peak_bytes_since, reset_peak
+from ..machine import peak_bytes_since, reset_peak
 from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, SurfaceLoad
 from ..study import registry

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..machine.files import write_atomically
+from ..machine import write_atomically
 from ..measures.case import Run
 from ..study.registry import load_all
 from ..verdict.digest import Digest, digest_of

@@ -20,7 +20,7 @@ from solver_common.quadrature import facet_quadrature
 
 from ..body.mesh import Mesh
 from ..body.mesh_file import write_body_msh, write_body_vtu
-from ..machine.files import json_text, write_atomically
+from ..machine import json_text, write_atomically
 from ..study.schema import Tissue
 from .scene import Scene, SurfaceLoad
 

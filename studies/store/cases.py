@@ -22,7 +22,7 @@ from pydantic import ValidationError
 
 from solver_common.solution import Status
 
-from ..machine.files import json_text, write_atomically
+from ..machine import json_text, write_atomically
 from ..measures import uncertainty
 from ..measures.case import (
     DAMAGED,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..machine.files import json_text
+from ..machine import json_text
 from ..measures.measurement import Measurement, Quantity
 from .hdf5 import Data, Entry, Group, Stored, Text
 from .shapes import MeasurementShape, parsed

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, TypeAdapter
 
-from ..machine.files import json_text, write_atomically
-from ..machine.safe_open import UnfitFileError, read_regular
+from ..machine import json_text, write_atomically
 from ..scene.result import FrameTimes
 from ..study.schema import Study
 from .hdf5 import StoreError
@@ -91,13 +90,6 @@ def _holds_a_run(directory: Path) -> bool:
     return True
 
 
-def refuse_linked(directory: Path) -> None:
-    """Raises StoreError where a folder of a run directory is a link: what it leads to is another's."""
-    for name in _FOLDERS:
-        if (directory / name).is_symlink():
-            raise StoreError(f"{directory / name}: is a link; put the folder itself in its place")
-
-
 # --- what was planned ---
 
 
@@ -118,14 +110,11 @@ def rewrite_plan(directory: Path, planned: Mapping[str, Any]) -> None:
 def read_plan(directory: Path) -> dict[str, Any]:
     """What was planned in a run directory. Raises StoreError where it is none, or where the plan is damaged."""
     try:
-        plan = unsealed(read_regular(directory / PLAN), PLAN, PlanShape)
+        plan = unsealed((directory / PLAN).read_bytes(), PLAN, PlanShape)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         raise StoreError(f"{directory}: not a run directory (it has no {PLAN})") from None
-    except UnfitFileError as error:
-        raise StoreError(f"{error.filename}: {error.strerror}, and run the study again") from None
     except ValueError as error:
         raise StoreError(f"{directory}/{PLAN}: damaged ({error}); run the study again") from error
-    refuse_linked(directory)
     return plan
 
 
@@ -153,8 +142,8 @@ def read_study(directory: Path, plan: Mapping[str, Any]) -> tuple[Study, str]:
 
 def _text(path: Path) -> bytes:
     try:
-        return read_regular(path)
-    except (FileNotFoundError, IsADirectoryError, UnfitFileError) as error:
+        return path.read_bytes()
+    except (FileNotFoundError, IsADirectoryError) as error:
         raise StoreError(f"{path}: not readable ({error.strerror}); run the study again") from error
 
 
@@ -169,7 +158,7 @@ def add_times(directory: Path, found: Mapping[str, Any]) -> None:
     """Keep what frames take, by mesh, beside what is known of other meshes. Raises OSError."""
     path = directory / TIMES
     with suppress(OSError, ValueError):
-        found = {**_TIMES.dump_python(_TIMES.validate_json(read_regular(path))), **found}
+        found = {**_TIMES.dump_python(_TIMES.validate_json(path.read_bytes())), **found}
     write_atomically(path, json_text(found, indent=1).encode())
 
 
@@ -177,7 +166,7 @@ def read_times(directory: Path) -> dict[str, dict[str, FrameTimes]]:
     """Mesh -> model -> what its frames take; nothing where it was not measured. Raises StoreError."""
     path = directory / TIMES
     try:
-        stored = _TIMES.validate_json(read_regular(path))
+        stored = _TIMES.validate_json(path.read_bytes())
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
@@ -218,7 +207,7 @@ _TIMES = TypeAdapter(dict[str, _TimesOfMesh])
 
 def keep_told(directory: Path, plan: Mapping[str, Any], told: Mapping[str, Any]) -> None:
     """Keep what a run says, with what it is made of and the files that say it too. Raises OSError."""
-    made = {name: _digest(read_regular(directory / name)) for name in _TELLING}
+    made = {name: _digest((directory / name).read_bytes()) for name in _TELLING}
     kept = {"of": _made_of(directory, plan), "files": made, "told": told}
     write_atomically(directory / TOLD, sealed(kept, TOLD))
 
@@ -226,8 +215,8 @@ def keep_told(directory: Path, plan: Mapping[str, Any], told: Mapping[str, Any])
 def read_told(directory: Path, plan: Mapping[str, Any]) -> dict[str, Any] | None:
     """What `keep_told` kept; None where a case, a failure, a time, a table or the report is another since."""
     try:
-        kept = unsealed(read_regular(directory / TOLD), TOLD, ToldShape)
-        made = {name: _digest(read_regular(directory / name)) for name in _TELLING}
+        kept = unsealed((directory / TOLD).read_bytes(), TOLD, ToldShape)
+        made = {name: _digest((directory / name).read_bytes()) for name in _TELLING}
     except (OSError, ValueError):
         return None
     same = (kept["of"], kept["files"]) == (_made_of(directory, plan), made)
@@ -266,10 +255,8 @@ def read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
     """Why a case failed. Raises StoreError."""
     path = failure_path(directory, case_hash, label)
     try:
-        record = unsealed(read_regular(path), path.name, FailureShape)
-    except (UnfitFileError, IsADirectoryError) as error:
-        raise StoreError(f"{path}: {error.strerror}, and run again") from None
-    except ValueError as error:
+        record = unsealed(path.read_bytes(), path.name, FailureShape)
+    except (IsADirectoryError, ValueError) as error:
         raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
     return {**{key: record[key] for key in ("hash", "code", "message", "remedy")}, "label": label}
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ..machine.files import json_text
+from ..machine import json_text
 
 LARGEST = 1e100  # of a stored number; its third power is still finite
 SEAL = "seal"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from solver_common.arrays import Array
 
-from ..machine.processors import processor_name
+from ..machine import processor_name
 from ..measures.bars import reference_bar, series
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error

@@ -13,7 +13,7 @@ import numpy as np
 from solver_common.arrays import Array
 
 from ..body.surface_measures import Surface
-from ..machine.processors import processor_name
+from ..machine import processor_name
 from ..measures import uncertainty
 from ..measures.bars import reference_bar
 from ..measures.case import CaseResult, Run

@@ -15,8 +15,7 @@ from solver_common.solution import Status
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
-from ..machine.processors import processor_name
-from ..machine.sealed import read_arrays, write_arrays
+from ..machine import processor_name, read_arrays, write_arrays
 from ..scene.result import ModelResult
 
 if TYPE_CHECKING:

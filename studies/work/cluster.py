@@ -6,6 +6,7 @@ directory, which the machines of the cluster share. Dask gives the node of a wor
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import logging
 import multiprocessing
@@ -21,13 +22,11 @@ from typing import Any
 from urllib.parse import urlsplit
 from uuid import uuid4
 
-from ..machine.listening import is_loopback, open_ports
 from .local import LocalPlaces, told
 from .worker import Said
 
 INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
 LOOPBACK = "--host 127.0.0.1 --dashboard-address 127.0.0.1:0"  # for whoever starts a part of a cluster
-_NAMED = 4  # ports in the warning
 _POLL = 0.2  # s
 _WITHOUT_WORKERS = 60.0  # s that a scheduler may have no worker at all
 
@@ -112,26 +111,6 @@ class Cluster:
                     f"{self.address} has no workers: start some with: dask worker {self.address}{where}"
                 )
             time.sleep(_POLL)
-
-    def warning(self) -> str:
-        """Which parts of a cluster without TLS other machines reach; "" where none is known to be."""
-        if self.address.startswith("tls:"):
-            return ""
-        found: list[str] = []
-        with suppress(Exception):  # one that lacks vdmbench cannot be asked; of workers `require_fit` says so
-            found += [f"scheduler {port}" for port in self.client.run_on_scheduler(open_ports)]
-        for nanny in (False, True):
-            with suppress(Exception):  # workers may be without nannies
-                answers = self.client.run(open_ports, nanny=nanny, on_error="return")
-                lists = (ports for _, ports in sorted(answers.items()) if isinstance(ports, list))
-                found += [f"{'nanny' if nanny else 'worker'} {port}" for ports in lists for port in ports]
-        if not found:
-            return ""
-        more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
-        return (
-            f"other machines reach {', '.join(found[:_NAMED])}{more}: without TLS whoever does can run programs "
-            f"in your name; start scheduler and workers with {LOOPBACK}, or use TLS"
-        )
 
     def close(self) -> None:
         """Cancel what waits; what is at work stops when the scratch directory is gone."""
@@ -225,6 +204,13 @@ def checked_address(address: str, *, insecure: bool) -> str:
             "or --insecure-scheduler where you trust the whole network"
         )
     return full
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host's name or address is one that only this machine reaches."""
+    with suppress(ValueError):
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    return False
 
 
 class RefusalError(ValueError):

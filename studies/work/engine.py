@@ -18,7 +18,6 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Protocol
 
-from ..machine.safe_open import read_regular
 from .nodes import Node, one_by_one
 from .worker import ATTEMPTS, WHERE, Said
 
@@ -167,7 +166,7 @@ def _outcomes(node: Node, said: Sequence[Said], cause: Said | None) -> Iterator[
 
 def _read(log: Path) -> str:
     try:
-        return read_regular(log).decode(errors="replace")
+        return log.read_text(errors="replace")
     except OSError:
         return ""
 

@@ -10,10 +10,9 @@ Pebble's pool loses a task whose worker ends with exit code 0, or dies before it
 from __future__ import annotations
 
 import contextlib
-import fcntl
+import ctypes
 import multiprocessing
 import os
-import select
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -23,12 +22,11 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 
-from ..machine.memory import OUT_OF_MEMORY, is_lack_of_memory, limit_memory, machine_memory, memory_limits
-from ..machine.processors import usable_processors
-from .worker import Said, more_memory, run_node
+from ..machine import limit_memory, machine_memory, usable_processors
+from .worker import MORE_MEMORY, OUT_OF_MEMORY, Said, run_node
 
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
-_NO_ROOM = 71  # exit code of a worker that cannot load the solvers
+_PARENT_DEATH_SIGNAL = 1  # prctl(2)
 _PRELOADED = (
     "vdmbench.work.worker",
     "numpy.ma",
@@ -111,8 +109,7 @@ class _Worker:
 
     def __init__(self, do: Callable[[str], str], threads: int, memory: int) -> None:
         context = multiprocessing.get_context("forkserver")
-        # under a limit each worker looks for room before it loads: OpenBLAS in the server would ask for it for ever
-        context.set_forkserver_preload([] if memory_limits() else list(_PRELOADED))
+        context.set_forkserver_preload(list(_PRELOADED))
         self.pipe, theirs = context.Pipe()
         self.process: ForkServerProcess = context.Process(target=serve, args=(theirs, do, threads, memory))
         libraries = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": str(threads)}
@@ -142,21 +139,16 @@ class _Worker:
         self.process.kill()
         self.process.join()
         code = self.process.exitcode
-        self.process.close()  # which ends a worker whose server was killed, see `_end_with_starter`
+        self.process.close()
         self.pipe.close()
         return code
 
 
 def serve(pipe: Connection, do: Callable[[str], str], threads: int, memory: int) -> None:
     """What a worker process does: node after node, until nobody asks any more."""
-    try:
-        begin_worker(threads, memory)
-    except (MemoryError, ImportError, OSError) as error:
-        if not is_lack_of_memory(error):
-            raise
-        os._exit(_NO_ROOM)
-    pipe.send("")
-    with contextlib.suppress(EOFError):
+    begin_worker(threads, memory)
+    with contextlib.suppress(EOFError, OSError):
+        pipe.send("")
         while True:
             pipe.send(do(pipe.recv()))
 
@@ -174,12 +166,12 @@ def told(error: BaseException, log: str) -> Said:
 
 def _death(code: int | None, log: str) -> tuple[str, str]:
     """What an exit code of a worker that died means, and what to do."""
-    if code == _NO_ROOM or OUT_OF_MEMORY.search(log):
-        return "out of memory", more_memory()
+    if OUT_OF_MEMORY.search(log):
+        return "out of memory", MORE_MEMORY
     if code is None:
-        return "the workers die before they begin", more_memory()
+        return "the workers die before they begin", MORE_MEMORY
     if code == -signal.SIGKILL:
-        return "killed by the system, most likely out of memory", more_memory()
+        return "killed by the system, most likely out of memory", MORE_MEMORY
     if code < 0:
         return (
             f"the worker crashed with signal {signal.Signals(-code).name}",
@@ -201,26 +193,9 @@ def local_places(jobs: int, memory: int | None = None) -> Iterator[LocalPlaces]:
 def begin_worker(threads: int, memory: int) -> None:
     """What a worker process does first."""
     os.environ["RAYON_NUM_THREADS"], os.environ["OMP_NUM_THREADS"] = str(threads), "1"
-    _end_with_starter()
-    from threadpoolctl import threadpool_limits
-
-    threadpool_limits(1)  # for good: more of them at the end might find no memory, and wait for it
+    with contextlib.suppress(AttributeError):  # of Linux: it ends with its server, and that with its starter
+        ctypes.CDLL(None).prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
     limit_memory(memory)
-
-
-def _end_with_starter() -> None:
-    """Have the system end this process with its starter: by SIGIO, once nobody holds the other end of their pipe.
-
-    A thread that waits for it would wait for the interpreter too, which a library may hold for long.
-    """
-    starter = multiprocessing.parent_process()
-    if starter is not None:
-        signal.signal(signal.SIGIO, signal.SIG_DFL)
-        fcntl.fcntl(starter.sentinel, fcntl.F_SETOWN, os.getpid())
-        flags = fcntl.fcntl(starter.sentinel, fcntl.F_GETFL)
-        fcntl.fcntl(starter.sentinel, fcntl.F_SETFL, flags | os.O_ASYNC)
-        if select.select([starter.sentinel], [], [], 0)[0]:  # it has ended already
-            os._exit(1)
 
 
 @contextlib.contextmanager

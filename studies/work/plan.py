@@ -15,7 +15,7 @@ from solver_common.arrays import Array
 from .. import models
 from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path
-from ..machine.sealed import is_sound
+from ..machine import is_sound
 from ..study.config import ResolvedCase, geometry_error
 from ..study.errors import MeshError
 from ..study.registry import Size

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from ..body.mesh import Mesh
-from ..machine.processors import processor_name
+from ..machine import processor_name
 
 PACKAGES = (
     "vdmbench",

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from .. import models
 from ..body.mesh_cache import mesh_path, read_mesh
-from ..machine.memory import machine_memory
-from ..machine.safe_open import MAX_CASE_BYTES
+from ..machine import machine_memory
 from ..study.errors import MeshError
 from ..study.registry import REFINED, Size
 from ..study.shapes import fewer_nodes
@@ -20,6 +19,7 @@ from .plan import Expected, Plan, PlannedCase, PlannedMesh
 DOUBT = 1.3  # expected numbers of a case over those that a file holds: the nodes of a mesh are expected, too
 DISK_DOUBT = 2.0  # expected bytes over those that are free
 MEMORY_DOUBT = 2.0  # declared bytes over those of the machine, from which on nothing is tried
+_MAX_CASE_BYTES = 2 << 30  # of the results of a case
 _PER_NODE = 48.0  # bytes of a displacement and a reaction
 
 
@@ -123,9 +123,9 @@ def case_bytes(case: PlannedCase, size: Size) -> float:
 def _beyond_a_file(plan: Plan, case: PlannedCase) -> str:
     size = _size(plan, case.mesh)
     needed = case_bytes(case, size) if size is not None else 0.0
-    if size is None or needed <= DOUBT * MAX_CASE_BYTES:
+    if size is None or needed <= DOUBT * _MAX_CASE_BYTES:
         return ""
-    steps, most, gigabytes = len(case.study.load.history), MAX_CASE_BYTES / 1e9, needed / 1e9
+    steps, most, gigabytes = len(case.study.load.history), _MAX_CASE_BYTES / 1e9, needed / 1e9
     return (
         f"{steps:,} load steps on about {size.nodes:,.0f} surface nodes make results of {gigabytes:.1f} GB, "
         f"more than the {most:.1f} GB of a case file; use fewer load steps, a larger mesh_size or fewer models"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import fcntl
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -13,8 +12,7 @@ from uuid import uuid4
 
 import tomli_w
 
-from ..machine.files import clear_abandoned
-from ..machine.locks import LockedError, lock
+from ..machine import LockedError, clear_abandoned, lock
 from ..measures.case import Run
 from ..store.cases import told_run
 from ..store.hdf5 import StoreError
@@ -27,7 +25,6 @@ from ..store.run_directory import (
     keep_told,
     read_plan,
     refuse_foreign,
-    refuse_linked,
     rewrite_plan,
     write_failure,
     write_plan,
@@ -47,7 +44,7 @@ class RunError(ValueError):
     """A run that cannot start."""
 
 
-Finish = Callable[[Path, Callable[[str], None]], tuple[Run, Path]]
+Finish = Callable[[Path], tuple[Run, Path]]
 
 
 @dataclass(frozen=True)
@@ -97,7 +94,6 @@ def run_plan(
         disk full or read-only; a cluster that is not there or does not fit.
     """
     refuse_foreign(plan.directory)
-    refuse_linked(plan.directory)
     plan.directory.mkdir(parents=True, exist_ok=True)
     cases = plan.cases_to_run(options.shard)
     with _locked(plan.directory, options.shard):
@@ -119,14 +115,12 @@ def run_plan(
         used = 0.0
         try:
             if cases or _decides(plan):
-                with _places(plan, options, watch) as places:
+                with _places(plan, options) as places:
                     used = _run_missing(plan, cases, options, watch, places)
                     _time_frames(plan, cases, options, watch, places)
         finally:  # workers may have been killed while they wrote, by an interruption too
             _tidy(plan)
-        run, report = finish(
-            plan.directory, lambda text: watch(Event("told", plan.study.study.name, message=text))
-        )
+        run, report = finish(plan.directory)
         if cases and options.scheduler is None and options.shard == (1, 1):
             planned["taken"] = {
                 "seconds": time.perf_counter() - began,
@@ -199,7 +193,7 @@ def _tidy(plan: Plan) -> None:
 
 
 @contextmanager
-def _places(plan: Plan, options: Options, watch: Callable[[Event], None]) -> Iterator[Places]:
+def _places(plan: Plan, options: Options) -> Iterator[Places]:
     """Where the nodes are done: on this machine, or on a cluster."""
     if options.scheduler is None:
         from .local import local_places
@@ -211,8 +205,6 @@ def _places(plan: Plan, options: Options, watch: Callable[[Event], None]) -> Ite
 
     insecure = options.insecure_scheduler
     with cluster_places(options.scheduler, plan.directory, options.memory, insecure=insecure) as cluster:
-        if warning := cluster.warning():
-            watch(Event("told", options.scheduler, message=f"warning: {warning}"))
         yield cluster
 
 
@@ -312,10 +304,9 @@ def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
     whole = shard == (1, 1)
     with ExitStack() as held:
         try:
-            held.enter_context(lock(directory / ".lock", fcntl.LOCK_EX if whole else fcntl.LOCK_SH))
+            held.enter_context(lock(directory / ".lock", shared=not whole))
             if not whole:
-                own = directory / f".lock-{shard[0]}-of-{shard[1]}"
-                held.enter_context(lock(own, fcntl.LOCK_EX))
+                held.enter_context(lock(directory / f".lock-{shard[0]}-of-{shard[1]}"))
         except LockedError as error:
             raise RunError(
                 f"{directory}: another run is at work here ({error}); wait for it or choose another --out"

@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import json
 import os
+import re
 import sys
 import time
 import traceback
@@ -19,9 +20,7 @@ from fem_reference.progress import Progress, reported
 
 from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_level
 from ..body.refine import Hierarchy, refine, refined
-from ..machine.memory import OUT_OF_MEMORY, memory_limits
-from ..machine.processors import processor_name
-from ..machine.safe_open import open_regular
+from ..machine import processor_name
 from ..measures.reference import level_scene, restricted
 from ..models import Prepared
 from ..scene.scene import Scene, build_scene
@@ -33,6 +32,11 @@ from .case import Block, make_case
 from .keys import level_key
 from .small_strain import small_strain_limits
 
+# what C++, Rust, the system and its loader of libraries say where memory runs out
+OUT_OF_MEMORY = re.compile(
+    "bad_alloc|memory allocation of|cannot allocate memory|cannot map zero-fill|failed to map segment", re.I
+)
+MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
 ATTEMPTS = 3  # of a node whose process dies
 WHERE = "where: "  # begins a line of a log that says where a solve is
 _APART = 2.0  # s between such lines
@@ -53,13 +57,6 @@ class Said:
     remedy: str = ""
     log: str = ""
     processor: float = 0.0  # seconds of all threads
-
-
-def more_memory() -> str:
-    """What to do where memory ran out."""
-    limits = memory_limits()
-    told = f"; this run may take no more than its shell allows: {limits}" if limits else ""
-    return f"use a coarser mesh, fewer --jobs, or allow more with --memory{told}"
 
 
 def run_node(text: str) -> str:
@@ -247,7 +244,7 @@ def _attempt(name: str, work: Callable[[], object]) -> Said:
     start, used = time.perf_counter(), time.process_time()
     code, message, remedy = _outcome(work)
     if OUT_OF_MEMORY.search(message):
-        message, remedy = "out of memory", more_memory()
+        message, remedy = "out of memory", MORE_MEMORY
     seconds, processor = time.perf_counter() - start, time.process_time() - used
     return Said(name, code, seconds, message, remedy, processor=processor)
 
@@ -257,7 +254,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
         work()
     except MemoryError:
         traceback.print_exc()
-        return "error", "out of memory", more_memory()
+        return "error", "out of memory", MORE_MEMORY
     except OSError as error:
         return "error", f"{error}", install_line(error) or "check free space and permissions"
     except ImportError as error:
@@ -294,7 +291,7 @@ def _tell_log() -> Callable[[Progress], None]:
 @contextlib.contextmanager
 def _output_to(log: Path) -> Iterator[None]:
     """What the work prints, C libraries included, goes to a file, for the run to read where the work fails."""
-    descriptor = open_regular(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
     fcntl.flock(descriptor, fcntl.LOCK_SH)  # as long as it is written, see `clear_abandoned`
     os.ftruncate(descriptor, 0)
     kept = [os.dup(number) for number in (1, 2)]

@@ -12,7 +12,7 @@ import numpy as np
 from solver_common.solution import Status
 from tests.example_case import typed_study
 from vdmbench.body.surface_measures import Surface
-from vdmbench.machine.processors import processor_name
+from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import METRICS, History, evaluate
 from vdmbench.scene.result import FrameTimes, ModelResult

@@ -10,7 +10,7 @@ import pytest
 
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
 from tests.work.shared_work import ALONE, plan_of, run
-from vdmbench.machine.processors import processor_name
+from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.blocks import Figures
 from vdmbench.report.headline import _table, headline_metrics

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.testing import assert_allclose
 
-from vdmbench.machine.sealed import read_arrays
+from vdmbench.machine import read_arrays
 from vdmbench.store import cases as store
 
 from ..command import heed_ctrl_c, wait_for

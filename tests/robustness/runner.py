@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 from vdmbench.cli.main import main
-from vdmbench.machine.files import write_atomically
+from vdmbench.machine import write_atomically
 from vdmbench.measures.case import Run
 
 

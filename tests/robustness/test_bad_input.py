@@ -23,8 +23,8 @@ import pytest
 from tests.command import write_study
 from tests.in_process import HerePlaces
 from tests.store.test_store import _reseal
+from vdmbench import machine
 from vdmbench.cli.main import main
-from vdmbench.machine import files
 from vdmbench.report import rebuild
 from vdmbench.store import run_directory
 from vdmbench.study.errors import install_line
@@ -262,7 +262,7 @@ def test_a_full_disk_is_told(
 
     arguments = study(verb="run")(tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr(files.os, "fsync", no_room)
+        patch.setattr(machine.os, "fsync", no_room)
         assert f"{RUN}/study.toml: No space left on device" in said(arguments, 4, capsys)
     assert [path for path in (tmp_path / "results").rglob("*") if path.is_file()] == [
         tmp_path / RUN / ".lock"

@@ -177,20 +177,6 @@ def test_every_document_starts_it_so() -> None:
         assert "--listen-address" not in line
 
 
-@pytest.mark.slow
-def test_a_cluster_that_other_machines_reach_is_told(tmp_path: Path) -> None:
-    with _cluster(tmp_path, open_to_all=True) as (address, _):
-        study = _study(tmp_path)
-        result = vdmbench_process(
-            "run", study, "--out", "run", "--scheduler", address, "--json", cwd=tmp_path
-        )
-    assert result.returncode == 0, result.stderr
-    (warning,) = (line for line in result.stderr.splitlines() if "warning" in line)
-    assert warning.startswith("vdmbench: warning: other machines reach worker ")
-    assert "0.0.0.0:" in warning
-    assert f"start scheduler and workers with {LOOPBACK}" in warning
-
-
 def test_a_killed_worker_costs_a_retry_only(tmp_path: Path, scheduler: str, local_run: Path) -> None:
     run = tmp_path / "run"
     with _start(_study(tmp_path), "--scheduler", scheduler) as command:

@@ -12,7 +12,7 @@ import pytest
 
 from tests.command import SCRIPT, vdmbench_process
 from vdmbench.cli.main import _complain_of
-from vdmbench.machine.streams import harmless
+from vdmbench.machine import harmless
 from vdmbench.store.run_directory import case_path, failure_path, read_plan, rewrite_plan, write_failure
 
 from .processes import RUN

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from tests.command import vdmbench, write_study
-from vdmbench.machine import memory
 
 from . import processes
 from .processes import RUN
@@ -35,14 +34,3 @@ def test_a_size_that_is_none(tmp_path: Path, size: str) -> None:
     result = vdmbench("run", "small.toml", f"--memory={size}", cwd=tmp_path)
     assert result.returncode == 2
     assert "write a size such as 500MB or 4GB" in result.stderr
-
-
-def test_a_container_s_memory_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    limit = tmp_path / "memory.max"
-    monkeypatch.setattr(memory, "_CONTAINER", (str(limit), str(tmp_path / "none")))
-    whole = memory.machine_memory()
-    assert whole > 100e6
-    limit.write_text("max\n")
-    assert memory.machine_memory() == whole
-    limit.write_text("50000000\n")
-    assert memory.machine_memory() == 50_000_000

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import pty
-import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from tests.command import SCRIPT, vdmbench, write_study
-from vdmbench.store import cases as store
 
-from . import processes
 from .processes import RUN
 
 LABEL = "größe ± λ"
@@ -45,28 +40,6 @@ def _shell(
         check=False,
         timeout=300,
     )
-
-
-def _three_cases(directory: Path) -> None:
-    """A study that takes no longer than it must."""
-    sweep = '[sweep]\n"vdm.bulk_modulus" = [10, 20, 30]\n[vdm]\nconnectivity_modulus = 200\n[load]'
-    write_study(directory, a=('["vdm-paper", "fem-linear"]', '["vdm-paper"]'), b=('reference = "fem-linear"\n', ""),
-                c=("[load]", sweep))  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "redirections",
-    ["2>&1 | head -n 1", ">/dev/full 2>&1", "<&- >&- 2>&-"],
-)
-def test_a_run_is_done_whoever_reads(tmp_path: Path, redirections: str) -> None:
-    """Three cases, after the first of which the reader is gone."""
-    _three_cases(tmp_path)
-    program = f"PYTHONPATH='{processes.PATH}' '{sys.executable}' -m tests.robustness.runner"
-    result = _shell("run small.toml --jobs 1", redirections, tmp_path, program)
-    assert result.returncode == 0, result.stderr
-    assert len(store.read_run(tmp_path / RUN).cases) == 3
-    assert (tmp_path / RUN / "report.html").stat().st_size > 0
-    assert "Traceback" not in result.stderr
 
 
 PLAN, HELP, WRONG = ("plan small.toml", 0), ("--help", 0), ("check none.toml", 2)
@@ -127,37 +100,3 @@ def test_a_file_s_name_that_is_no_text_is_told(finished: Path) -> None:
     result = subprocess.run([SCRIPT, "check", name], cwd=finished, capture_output=True, check=False)
     assert result.returncode == 2
     assert rb"no\udcff.toml" in result.stderr
-
-
-def test_a_terminal_that_is_closed_while_the_bar_runs(tmp_path: Path) -> None:
-    """Without its signal, as with nohup: what the bar draws has no place any more."""
-    _three_cases(tmp_path)
-    ours, theirs = pty.openpty()
-    with subprocess.Popen(
-        [sys.executable, "-m", "tests.robustness.runner", "run", "small.toml", "--jobs", "1"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": processes.PATH},
-        stdout=subprocess.DEVNULL,
-        stderr=theirs,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
-    ) as process:
-        os.close(theirs)
-        assert os.read(ours, 1), "the bar is there"
-        os.close(ours)
-        assert process.wait(timeout=300) == 0
-    assert len(store.read_run(tmp_path / RUN).cases) == 3
-
-
-def test_a_pipe_that_does_not_block_gets_all(tmp_path: Path) -> None:
-    program = (
-        "import os, sys\n"
-        "from vdmbench.machine.streams import make_patient\n"
-        "os.set_blocking(1, False)\n"
-        "make_patient()\n"
-        "print('x' * 1_000_000)"
-    )
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, cwd=tmp_path) as process:
-        assert process.stdout is not None
-        assert len(process.stdout.read()) == 1_000_001
-    assert process.returncode == 0

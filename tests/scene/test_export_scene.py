@@ -20,7 +20,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.cli import verb_export
 from vdmbench.cli.arguments import parse
 from vdmbench.cli.output import UsageError
-from vdmbench.machine.files import whole_directory
+from vdmbench.machine import whole_directory
 from vdmbench.scene.export import Handout, write_scene
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.schema import Study

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from tests.example_case import typed_study
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
 from tests.study.study_texts import SMALL
-from vdmbench.machine.processors import processor_name
+from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.result import FrameTimes
 from vdmbench.study.config import load_study

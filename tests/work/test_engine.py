@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from fem_reference.progress import Progress, tell
-from vdmbench.machine.processors import usable_processors
+from vdmbench.machine import usable_processors
 from vdmbench.work import local, worker
 from vdmbench.work.engine import Outcome, run_nodes
 from vdmbench.work.local import local_places

@@ -1,15 +1,27 @@
-"""Peak memory of a stretch of work, against arrays of known size."""
+"""Memory against arrays of known size; processors; files that are whole, and locks."""
 
 from __future__ import annotations
 
 import os
+import stat
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from vdmbench.machine.memory import peak_bytes_since, reset_peak
+from vdmbench import machine
+from vdmbench.machine import (
+    LockedError,
+    clear_abandoned,
+    lock,
+    peak_bytes_since,
+    read_arrays,
+    reset_peak,
+    write_arrays,
+    write_atomically,
+)
 
 
 @pytest.mark.parametrize("megabytes", [20, 80])
@@ -33,7 +45,7 @@ _RESERVES = """
 import mmap
 import numpy as np
 from fem_reference.memory import reserved_not_counted
-from vdmbench.machine.memory import limit_memory
+from vdmbench.machine import limit_memory
 
 def taken(megabytes):
     try:
@@ -66,7 +78,7 @@ import resource
 from scipy.sparse import csc_array, diags_array, eye_array, kron, tril
 from fem_reference.factorisation import analyse
 from fem_reference.memory import _data_bytes
-from vdmbench.machine.memory import limit_memory
+from vdmbench.machine import limit_memory
 
 line, one = diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)), eye_array(20)
 cube = kron(kron(line, one), one) + kron(kron(one, line), one) + kron(kron(one, one), line)
@@ -87,7 +99,7 @@ _MULTIPLIES = """
 import numpy as np
 from scipy.linalg import lu_factor, solve_triangular
 from threadpoolctl import threadpool_limits
-from vdmbench.machine.memory import limit_memory
+from vdmbench.machine import limit_memory
 
 limit_memory(10_000_000)
 with threadpool_limits(1):
@@ -116,3 +128,69 @@ def test_dense_algebra_does_not_wait_for_memory_that_it_may_not_have(threads: st
     product, triangle, rest = done.stdout.split("\n", 2)
     np.testing.assert_allclose(float(product), 2 * 0.1 + 200 * 0.1**2, rtol=1e-12, atol=0)
     assert (triangle, rest) == ("1.0 (200, 200)", "no more\n")
+
+
+def test_what_a_batch_system_leaves_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5, 9, 11})
+    assert machine.usable_processors() == 3
+    monkeypatch.delattr(os, "sched_getaffinity")  # as on other systems than Linux
+    assert machine.usable_processors() == 64
+
+
+def test_a_container_s_memory_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    limit = tmp_path / "memory.max"
+    monkeypatch.setattr(machine, "_CONTAINER", (str(limit), str(tmp_path / "none")))
+    whole = machine.machine_memory()
+    assert whole > 100e6
+    limit.write_text("max\n")
+    assert machine.machine_memory() == whole
+    limit.write_text("50000000\n")
+    assert machine.machine_memory() == 50_000_000
+
+
+def test_a_lock_names_its_holder_and_goes_with_it(tmp_path: Path) -> None:
+    place = tmp_path / "lock"
+    with lock(place):
+        for shared in (False, True):
+            with pytest.raises(LockedError, match=f"^process {os.getpid()}$"), lock(place, shared=shared):
+                pass
+    with lock(place, shared=True), lock(place, shared=True), pytest.raises(LockedError), lock(place):
+        pass
+
+
+def test_the_cache_does_not_wait_for_the_disk_and_results_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits: list[int] = []
+    monkeypatch.setattr(os, "fsync", waits.append)
+    write_arrays(tmp_path / "a.npz", {"a": np.ones(3)})
+    assert waits == []
+    write_atomically(tmp_path / "b", b"b")
+    assert len(waits) == 1
+    whole = (tmp_path / "a.npz").read_bytes()
+    for end in (0, 10, len(whole) - 1):  # what a loss of power may leave
+        (tmp_path / "a.npz").write_bytes(whole[:end])
+        assert read_arrays(tmp_path / "a.npz") is None
+
+
+def test_a_write_replaces_a_link_and_leaves_what_it_leads_to(tmp_path: Path) -> None:
+    (tmp_path / "other").write_text("theirs")
+    path = tmp_path / "stored"
+    path.symlink_to("other")
+    before = os.umask(0o027)
+    try:
+        write_atomically(path, b"mine")
+    finally:
+        os.umask(before)
+    assert (path.read_bytes(), path.is_symlink()) == (b"mine", False)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o640
+    assert (tmp_path / "other").read_text() == "theirs"
+
+
+def test_what_a_killed_process_left_is_cleared_and_what_is_being_written_is_not(tmp_path: Path) -> None:
+    (tmp_path / ".left.ab.part").write_bytes(b"half")
+    (tmp_path / ".alive.cd.part").write_bytes(b"half")
+    with lock(tmp_path / ".alive.cd.part"):
+        clear_abandoned(tmp_path)
+        assert [path.name for path in tmp_path.iterdir()] == [".alive.cd.part"]

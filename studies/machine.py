@@ -1,0 +1,334 @@
+"""Files, locks and memory of this machine. In: paths and limits. Out: files that are whole, sealed arrays, what a
+process may take. It knows nothing of studies.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import fcntl
+import hashlib
+import io
+import json
+import math
+import os
+import platform
+import resource
+import secrets
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_PART = ".part"  # ends the names of files being written, which nothing reads
+_LONGEST = 200  # characters of a name that its temporary file repeats: file systems take 255 bytes
+_DIGEST_BYTES = 32  # a SHA-256 ends a file of arrays; readers of .npz do not mind it
+_STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
+_CONTAINER = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # versions 2 and 1
+_PROCESSORS = Path("/proc/cpuinfo")
+# what steers a terminal or turns the direction of text; a tab and a line's end stay
+_STEERING = {
+    code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}"
+    for code in (*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
+    if chr(code) not in "\t\n"
+}
+
+
+# --- files ---
+
+
+def results_directory() -> Path:
+    """Where runs, the cache and baselines are kept unless the command line says otherwise."""
+    return Path(os.environ.get("VDMBENCH_RESULTS") or "results")
+
+
+def cache_directory() -> Path:
+    """Where meshes and answers are kept unless the command line says otherwise."""
+    return Path(os.environ.get("VDMBENCH_CACHE") or results_directory() / "cache")
+
+
+def json_text(value: Any, *, indent: int | None = None, sort_keys: bool = False) -> str:
+    """JSON as every program reads it: null for a number that is not finite, for which JSON has no word."""
+    return json.dumps(_plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return _plain(value.tolist()) if hasattr(value, "tolist") else value  # of NumPy, not loaded for this
+
+
+def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:
+    """Write `data` so that `path` is either absent (or what it was) or complete, also after a crash.
+
+    Parameters
+    ----------
+    durable : wait for the disk; without it a loss of power may leave the file cut, which no killed program does
+
+    Raises
+    ------
+    OSError
+        disk full or read-only, or a directory of that name; it names `path`, and nothing is left behind. A link of
+        that name is replaced, not followed.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "a directory is in a file's place; remove it", str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name[:_LONGEST]}.{secrets.token_hex(8)}{_PART}")
+    try:
+        with part.open("xb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)  # until it has its final name, see `clear_abandoned`
+            file.write(data)
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+            part.replace(path)
+    except BaseException as error:
+        part.unlink(missing_ok=True)
+        if isinstance(error, OSError):  # a write names no file, and others the one that was to become this
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
+
+
+def clear_abandoned(directory: Path, suffix: str = _PART) -> None:
+    """Remove the hidden files with this suffix that killed processes left: a lock goes with its process.
+
+    An empty one may be about to be locked.
+    """
+    for path in directory.glob(f".*{suffix}"):
+        with contextlib.suppress(OSError), path.open("rb") as file:  # gone meanwhile, in use, or not ours
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if path.stat().st_size:
+                path.unlink()
+
+
+@contextlib.contextmanager
+def whole_directory(out: Path) -> Iterator[Path]:
+    """A hidden directory beside `out` to write in, which takes the place of `out` at the end, else goes.
+
+    `out` is new or empty. Raises OSError.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    begun = Path(tempfile.mkdtemp(prefix=f".{out.name[:_LONGEST]}.", suffix=_PART, dir=out.absolute().parent))
+    try:
+        begun.chmod(0o755)
+        yield begun
+        if out.exists():
+            out.rmdir()
+        begun.rename(out)
+    except BaseException:
+        shutil.rmtree(begun, ignore_errors=True)
+        raise
+
+
+def require_end(path: Path, end: bytes) -> None:
+    """Raises OSError where a file that a library wrote does not end with `end`: a full disk, or a limit, cut it."""
+    if not path.read_bytes()[-100:].rstrip().endswith(end):
+        raise OSError(errno.EFBIG, "is cut: the disk is full, or a limit of file size is reached", str(path))
+
+
+class LockedError(ValueError):
+    """Another process holds the lock; the message is who, as "process 12"."""
+
+
+@contextlib.contextmanager
+def lock(path: Path, *, shared: bool = False, wait: bool = False) -> Iterator[None]:
+    """Hold the lock of a file, and say in the file who does; it goes with its process.
+
+    Raises
+    ------
+    LockedError
+        another process holds it, and nobody is to be waited for.
+    OSError
+        the file cannot be opened for writing.
+    """
+    with path.open("a+", errors="replace") as file:
+        try:
+            kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+            fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            number = file.read(20).strip()
+            raise LockedError(f"process {number}" if number.isdecimal() else "an unknown process") from None
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+        yield
+
+
+# --- arrays under a seal, of the file's name too, which is its content key ---
+
+
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Store named arrays as .npz, whole or not at all. Raises OSError."""
+    import numpy as np
+
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    content = buffer.getvalue()
+    # many and small, each told by its seal and made again where it is cut: none is worth a wait for the disk
+    write_atomically(path, content + _seal(path, content), durable=False)
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
+    """The arrays stored at `path`, or None where there is no file, or one that is damaged or not its own.
+
+    Raises
+    ------
+    OSError
+        the file may not be read.
+    """
+    import numpy as np
+
+    content = _content(path)
+    if content is None:
+        return None
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        return {name: stored[name] for name in stored}
+
+
+def is_sound(path: Path) -> bool:
+    """Whether `read_arrays` finds arrays at `path`. Raises OSError where the file may not be read."""
+    return _content(path) is not None
+
+
+def _content(path: Path) -> bytes | None:
+    try:
+        data = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
+        return None  # what is in its place is told when it is written
+    content, seal = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
+    return content if _seal(path, content) == seal else None
+
+
+def _seal(path: Path, content: bytes) -> bytes:
+    return hashlib.sha256(path.name.encode() + b"\0" + content).digest()
+
+
+# --- processors and memory ---
+
+
+def usable_processors() -> int:
+    """How many this process may use: a batch system or `taskset` may leave it fewer than the machine has."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def processor_name() -> str:
+    """What the machine says that its processors are; "unknown" where it says nothing."""
+    try:
+        lines = _PROCESSORS.read_text().splitlines()
+    except OSError:
+        return platform.processor() or "unknown"
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "unknown")
+
+
+def machine_memory() -> int:
+    """Bytes of memory of this machine, or of this container where it may take less."""
+    sizes = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    for name in _CONTAINER:
+        with contextlib.suppress(OSError, ValueError):  # not there, or "max"
+            sizes.append(int(Path(name).read_text()))
+    return min(sizes)
+
+
+def limit_memory(size: int) -> None:
+    """Let this process take so many bytes more, for the rest of its life; then allocations fail.
+
+    What counts is private data (RLIMIT_DATA), touched or not; on another system than Linux nothing is limited.
+    From here on dense algebra has one thread, with the memory that it works in taken before: OpenBLAS, refused it,
+    asks again for ever (blas_memory_alloc in its driver/others/memory.c).
+    """
+    if not _STATUS.exists():
+        return
+    import numpy as np
+    from scipy.linalg import lu_factor
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1)
+    np.linalg.solve(np.eye(2), np.eye(2))
+    lu_factor(np.eye(2))
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    wanted = _status("VmData") + size
+    limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+
+
+def reset_peak() -> int:
+    """Start a stretch: forget the peak so far; returns the resident bytes now, for `peak_bytes_since`.
+
+    Memory that was freed but kept by the allocator goes back to the system first: taken again, it counts.
+    """
+    with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
+        ctypes.CDLL(None).malloc_trim(0)
+    try:
+        _CLEAR.write_text("5")  # resets VmHWM (proc(5))
+    except OSError:
+        return 0
+    return _status("VmRSS")
+
+
+def peak_bytes_since(baseline: int) -> int:
+    """Bytes that the stretch added at its peak to the resident memory at its start.
+
+    Where the peak cannot be reset (another system than Linux) it is the peak of the whole process.
+    """
+    peak = _status("VmHWM") if _STATUS.exists() else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return max(0, peak - baseline)
+
+
+def _status(field: str) -> int:
+    for line in _STATUS.read_text().splitlines():
+        if line.startswith(field + ":"):
+            return int(line.split()[1]) * 1024
+    return 0
+
+
+# --- the terminal ---
+
+
+def harmless(text: str) -> str:
+    """The text with its control characters written as escapes: results from elsewhere steer no terminal."""
+    return text.translate(_STEERING)
+
+
+class _Harmless(io.TextIOWrapper):
+    """A stream that no text can steer."""
+
+    def write(self, text: str) -> int:
+        return super().write(harmless(text))
+
+
+def make_output_harmless() -> None:
+    """Have `sys.stdout` write escapes for what steers a terminal, and for characters that its encoding lacks.
+
+    Of streams that the caller closed the null device takes the place, lest the next file that is opened become one.
+    A stream that a program has exchanged stays.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # becomes the lowest number that is free: this one
+    out = sys.__stdout__
+    if out is not None and out is sys.stdout:
+        sys.stdout = _Harmless(
+            out.buffer,
+            out.encoding,
+            errors="backslashreplace",
+            line_buffering=out.isatty(),
+            write_through=False,
+        )
