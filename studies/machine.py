@@ -90,6 +90,8 @@ def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:
     try:
         with part.open("xb") as file:
             fcntl.flock(file, fcntl.LOCK_EX)  # until it has its final name, see `clear_abandoned`
+            if not os.fstat(file.fileno()).st_nlink:  # which cleared it away before it was locked
+                return write_atomically(path, data, durable=durable)
             file.write(data)
             file.flush()
             if durable:
@@ -103,15 +105,11 @@ def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:
 
 
 def clear_abandoned(directory: Path, suffix: str = _PART) -> None:
-    """Remove the hidden files with this suffix that killed processes left: a lock goes with its process.
-
-    An empty one may be about to be locked.
-    """
+    """Remove the hidden files with this suffix that killed processes left: a lock goes with its process."""
     for path in directory.glob(f".*{suffix}"):
         with contextlib.suppress(OSError), path.open("rb") as file:  # gone meanwhile, in use, or not ours
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if path.stat().st_size:
-                path.unlink()
+            path.unlink()
 
 
 @contextlib.contextmanager

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from tests.in_process import HerePlaces
+from tests.in_process import HerePool
 from vdmbench.cli.main import main
 from vdmbench.models.frames import frame_times
 from vdmbench.scene.result import FrameTimes
@@ -98,7 +98,7 @@ def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subproces
         contextlib.redirect_stdout(output),
         contextlib.redirect_stderr(complaints),
         mock.patch.dict(os.environ, environment),
-        mock.patch("vdmbench.work.run._places", _here),
+        mock.patch("vdmbench.work.run._pool", _here),
         mock.patch("gc.freeze"),  # this process goes on
         mock.patch("vdmbench.models.frames.gc"),
         mock.patch("vdmbench.models.frames.MOST", 0.0),  # frames are timed twice, not for seconds
@@ -132,9 +132,9 @@ def _timed_twice(scene: Scene, names: Sequence[str], rounds: int, budget: float)
 
 
 @contextlib.contextmanager
-def _here(*_: object) -> Iterator[HerePlaces]:
+def _here(*_: object) -> Iterator[HerePool]:
     """Places without processes."""
-    yield HerePlaces()
+    yield HerePool()
 
 
 def vdmbench_process(

@@ -14,5 +14,5 @@ def compare(
     scene: Scene, results: Mapping[str, ModelResult], reference: str | None
 ) -> dict[str, dict[str, MetricSeries]]:
     """Against the reference; without one each by itself."""
-    surface = case.Block(scene.mesh).surface(scene)
+    surface = case.loaded_surface(scene)
     return case.compare(surface, results, scene.load_factors, reference)

@@ -1,4 +1,4 @@
-"""What processes of their own do, done in this one: the nodes of a plan."""
+"""What processes of their own do, done in this one: the tasks of a plan."""
 
 from __future__ import annotations
 
@@ -6,36 +6,35 @@ from collections.abc import Sequence
 from concurrent.futures import Future
 from pathlib import Path
 
-from vdmbench.work.engine import Outcome, run_nodes
-from vdmbench.work.local import told
-from vdmbench.work.nodes import graph
 from vdmbench.work.plan import Plan, PlannedCase
-from vdmbench.work.worker import Said, run_node
+from vdmbench.work.pool import run_tasks, told
+from vdmbench.work.tasks import Task, tasks_of
+from vdmbench.work.worker import Said, do_task
 
 
-class HerePlaces:
-    """One place in this process itself: nothing is started, and nothing stops what does not end or crashes."""
+class HerePool:
+    """This process itself: nothing is started, and nothing stops what does not end or crashes."""
 
     count = 1
 
-    def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
-        """See `Places`."""
+    def submit(self, task: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
+        """See `Pool`."""
         future: Future[str] = Future()
-        future.set_result(run_node(node))
+        future.set_result(do_task(task))
         return future
 
     def failure(self, error: BaseException, log: str) -> Said:
-        """See `Places`."""
+        """See `Pool`."""
         return told(error, log)
 
 
-def outcomes_of(plan: Plan, cases: Sequence[PlannedCase] | None = None, jobs: int = 1) -> list[Outcome]:
-    """What becomes of the nodes that these cases need, of all that are missing by default."""
-    nodes = graph(plan, plan.cases_to_run() if cases is None else cases, jobs, run=f"{id(plan)}")
-    return list(run_nodes(nodes, HerePlaces(), plan.directory / "failed", started=lambda _: None))
+def outcomes_of(plan: Plan, cases: Sequence[PlannedCase] | None = None) -> list[tuple[Task, Said]]:
+    """What becomes of the tasks that these cases need, of all that are missing by default."""
+    tasks = tasks_of(plan, plan.cases_to_run() if cases is None else cases, run=f"{id(plan)}")
+    return list(run_tasks(tasks, HerePool(), plan.directory / "failed"))
 
 
-def do_cases(plan: Plan, cases: Sequence[PlannedCase] | None = None, jobs: int = 1) -> None:
+def do_cases(plan: Plan, cases: Sequence[PlannedCase] | None = None) -> None:
     """The same where all are to succeed."""
-    failed = [outcome for outcome in outcomes_of(plan, cases, jobs) if not outcome.ok]
+    failed = [(task.label, said) for task, said in outcomes_of(plan, cases) if not said.ok]
     assert not failed, failed

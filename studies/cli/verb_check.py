@@ -23,9 +23,9 @@ def run(options: argparse.Namespace) -> int:
     from ..study.config import resolved
     from ..study.errors import StudyError
     from ..work.explain import blockers, refused
-    from ..work.nodes import bodies
     from ..work.room import beyond_memory, unknown_memory
     from ..work.scene_check import scene_problems
+    from ..work.tasks import bodies
 
     try:
         study, path = load(options)

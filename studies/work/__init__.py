@@ -1,15 +1,15 @@
 """The work of a study: a graph of pure functions with content keys.
 
 In: a study and its cases. Out: files under their keys: meshes, answers and limits in the cache, cases in the run
-directory. A node whose file is there and sound is not in the graph.
+directory. What has its file there, and sound, is no task.
 
 keys          what has the same key is the same work
 plan          the cases of a study, what each wants, and what is there
-nodes         the work that is missing, each piece after those that it needs
-engine        does nodes in places: processes here (local), or on a cluster (cluster)
-worker        what each kind of node does; of a case (case), of its limits (small_strain)
+tasks         the work that is missing, each piece after those that it needs
+pool          does tasks in processes here, or on a cluster (cluster)
+worker        what each kind of task does; of a case (case), of its limits (small_strain)
 cache         answers and limits as files under their keys
-run           a plan done: locks, nodes, failures, report
+run           a plan done: locks, tasks, failures, report
 room, explain, scene_check   what a plan has no room for, says, and doubts
 provenance    where a case comes from
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from solver_common.arrays import Array
 
-from ..body.mesh import Mesh
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface
 from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
@@ -36,22 +35,17 @@ from .reached import at_what_was_reached
 Payload = Mapping[str, Any]
 
 
-class Block:
-    """What cases on one mesh read and measure once."""
-
-    def __init__(self, mesh: Mesh, levels: Callable[[int], Hierarchy] | None = None) -> None:
-        self.mesh = mesh
-        self.levels = levels or (lambda _: Hierarchy((mesh,)))
-        self._plain = Surface(points=mesh.surface_points, triangles=mesh.triangles)
-        self.answers: dict[str, ModelResult] = {}
-
-    def surface(self, scene: Scene) -> Surface:
-        """The surface under a scene's loads."""
-        return self._plain.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
+@lru_cache(maxsize=64)  # of a worker: cases of one body share answers
+def _stored(cache: Path, key: str, run: str) -> ModelResult:
+    return stored_answer(cache, key, run)
 
 
-def make_case(payload: Payload, block: Block) -> None:
-    """Write one case, as `vdmbench.work.nodes` describes it.
+def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
+    """Write one case, as `vdmbench.work.tasks` describes it.
+
+    Parameters
+    ----------
+    meshes : its mesh and the refinements up to a level
 
     Raises
     ------
@@ -61,12 +55,13 @@ def make_case(payload: Payload, block: Block) -> None:
         an answer is gone that was there; disk full or read-only.
     """
     study = Study.model_validate(payload["study"])
-    mesh, scene = block.mesh, build_scene(study, block.mesh)
-    surface = block.surface(scene)
+    mesh = meshes(0).finest
+    scene = build_scene(study, mesh)
+    surface = loaded_surface(scene)
     wanted = [Wanted(**entry) for entry in payload["wanted"]]
-    found = [(want, _result(want, scene, payload, block.answers)) for want in wanted]
+    found = [(want, _result(want, scene, payload)) for want in wanted]
     coarse = reference = study.study.reference
-    places, found = at_what_was_reached(study, scene, found, block.levels)
+    places, found = at_what_was_reached(study, scene, found, meshes)
     factors, asked = scene.factors_at(places), np.flatnonzero(places % 1.0 == 0.0)
     results = {want.name: result for want, result in found if want.level == 0}
     levels = [result for want, result in found if want.name == reference]
@@ -131,11 +126,14 @@ def make_case(payload: Payload, block: Block) -> None:
     )
 
 
-def _result(wanted: Wanted, scene: Scene, payload: Payload, known: dict[str, ModelResult]) -> ModelResult:
-    for key in wanted.answers:
-        if key not in known:
-            known[key] = stored_answer(Path(payload["cache"]), key, payload["run"])
-    answers = [known[key] for key in wanted.answers]
+def loaded_surface(scene: Scene) -> Surface:
+    """The surface of a scene's mesh under its loads."""
+    surface = Surface(points=scene.mesh.surface_points, triangles=scene.mesh.triangles)
+    return surface.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
+
+
+def _result(wanted: Wanted, scene: Scene, payload: Payload) -> ModelResult:
+    answers = [_stored(Path(payload["cache"]), key, payload["run"]) for key in wanted.answers]
     if not wanted.scales:
         return answers[0]
     datum = 0.0 if find(wanted.name)[0].volumetric else scene.environment_pressure
@@ -154,7 +152,7 @@ def _varied(payload: Payload, name: str) -> list[Answer]:
 
 def _varied_answer(payload: Payload, want: Wanted, times: float, values: Mapping[str, float]) -> Answer:
     cache, run = Path(payload["cache"]), payload["run"]
-    found = {key: stored_answer(cache, key, run) for key in dict.fromkeys(want.answers)}
+    found = {key: _stored(cache, key, run) for key in dict.fromkeys(want.answers)}
     if not want.scales:
         return Answer.of(found[want.answers[0]], values=values)
     steps = [(scale, found[key]) for key, scale in zip(want.answers, want.scales, strict=True)]

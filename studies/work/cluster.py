@@ -1,7 +1,7 @@
-"""Places on a Dask cluster: each worker does nodes in a process of its own, as a run here does.
+"""A Dask cluster as a pool: each worker does tasks in a process of its own, as a run here does.
 
-What travels is text: a node in JSON there, what became of it back. Results are files in the cache and the run
-directory, which the machines of the cluster share. Dask gives the node of a worker that died to another.
+What travels is text: a task in JSON there, what became of it back. Results are files in the cache and the run
+directory, which the machines of the cluster share. Dask gives the task of a worker that died to another.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 from urllib.parse import urlsplit
 from uuid import uuid4
 
-from .local import LocalPlaces, told
+from .pool import local_pool, told
 from .worker import Said
 
 INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
@@ -40,7 +40,7 @@ class ClusterError(OSError):
 
 
 class Cluster:
-    """A connection to a scheduler; see `vdmbench.work.engine.Places`.
+    """A connection to a scheduler; see `vdmbench.work.pool.Pool`.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Cluster:
 
     @property
     def count(self) -> int:
-        """Twice the threads of the workers, so that none waits for its next node. Raises ClusterError."""
+        """Twice the threads of the workers, so that none waits for its next task. Raises ClusterError."""
         self.wait_for_workers()
         return 2 * self._threads()
 
@@ -64,10 +64,10 @@ class Cluster:
         except (OSError, ValueError) as error:
             raise self._lost() from error
 
-    def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:
-        """See `Places`."""
+    def submit(self, task: str, log: Path, seconds: float | None) -> Future[str]:
+        """See `Pool`."""
         request = {
-            "node": node,
+            "task": task,
             "log": str(log),
             "scratch": str(self._scratch),
             "versions": _versions(),
@@ -78,18 +78,16 @@ class Cluster:
         return future
 
     def failure(self, error: BaseException, log: str) -> Said:
-        """See `Places`. Raises ClusterError where the scheduler is lost, or a worker refuses."""
+        """See `Pool`. Raises ClusterError where the scheduler is lost, or a worker refuses."""
         if isinstance(error, CancelledError):
             raise self._lost()
         if isinstance(error, RefusalError):
             raise ClusterError(f"a worker of {self.address} {error}")
         if type(error).__name__ == "KilledWorker":
             remedy = "use a coarser mesh, or workers with more memory; see the cluster's own logs"
-            return Said(
-                "", "error", 0.0, "its worker was lost several times while it was at work", remedy, log
-            )
+            return Said("error", 0.0, "its worker was lost several times while it was at work", remedy, log)
         reason = f"no worker of the cluster could run it: {error!r:.200}"
-        return Said("", "error", 0.0, reason, "see the logs of the cluster's workers", log)
+        return Said("error", 0.0, reason, "see the logs of the cluster's workers", log)
 
     def require_fit(self) -> None:
         """Refuse workers of other versions, and those that do not see the run directory."""
@@ -125,8 +123,8 @@ class Cluster:
 
 
 @contextmanager
-def cluster_places(address: str, directory: Path, memory: int | None, *, insecure: bool) -> Iterator[Cluster]:
-    """Places of the scheduler at `address`, such as "tcp://127.0.0.1:8786" or "tls://host:8786".
+def cluster_pool(address: str, directory: Path, memory: int | None, *, insecure: bool) -> Iterator[Cluster]:
+    """The workers of the scheduler at `address`, such as "tcp://127.0.0.1:8786" or "tls://host:8786".
 
     Raises
     ------
@@ -214,11 +212,11 @@ def is_loopback(host: str) -> bool:
 
 
 class RefusalError(ValueError):
-    """A worker that must not do a node; the message says why."""
+    """A worker that must not do a task; the message says why."""
 
 
 def carry_out(text: str) -> str:
-    """On a worker: do a node in a process of its own; what became of it as JSON. Stops it when the run is over.
+    """On a worker: do a task in a process of its own; what became of it as JSON. Stops it when the run is over.
 
     Raises
     ------
@@ -232,9 +230,8 @@ def carry_out(text: str) -> str:
     log = Path(request["log"])
     # a nanny starts its worker as a daemon, which may have no processes of its own
     multiprocessing.current_process().daemon = False
-    places = LocalPlaces(1, request["memory"])
-    try:
-        future = places.submit(request["node"], log, request["timeout"])
+    with local_pool(1, request["memory"]) as pool:
+        future = pool.submit(request["task"], log, request["timeout"])
         while not future.done() and Path(request["scratch"]).is_dir():
             time.sleep(_POLL)
         if not future.done():
@@ -243,9 +240,7 @@ def carry_out(text: str) -> str:
         if error is None:
             return future.result()
         said = told(error, log.read_text(errors="replace") if log.exists() else "")
-        return json.dumps([asdict(said)])
-    finally:
-        places.close()
+        return json.dumps(asdict(said))
 
 
 def refusal(text: str) -> str:

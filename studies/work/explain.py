@@ -13,9 +13,9 @@ from ..study.files import swept_without_folders, told_directory
 from ..study.registry import DISPLACEMENT_ELEMENTS, lacks, split
 from ..study.schema import extras_for
 from .cache import answer_path
-from .nodes import Body, bodies
 from .plan import Plan, PlannedCase
 from .room import DOUBT, beyond_memory, expected_mesh, stored_bytes, unknown_memory, without_room
+from .tasks import Body, bodies
 
 
 def summary(plan: Plan) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from ..measures.pushed import Answer
 from ..scene.result import ModelResult
 from ..scene.scene import build_scene
 from ..study.schema import Study
-from .case import Block, compare
+from .case import compare, loaded_surface
 
 NO_STEP = Status("not-given", "the file holds the largest load only", "")
 
@@ -34,7 +34,7 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
     (case,) = run.cases
     result = _as_result(case, mesh, foreign)
     scene = build_scene(study, mesh)
-    surface = Block(mesh).surface(scene)
+    surface = loaded_surface(scene)
     results = {name: result}
     if case.reference is not None:
         results[case.reference] = case.models[case.reference]

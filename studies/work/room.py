@@ -13,8 +13,8 @@ from ..machine import machine_memory
 from ..study.errors import MeshError
 from ..study.registry import REFINED, Size
 from ..study.shapes import fewer_nodes
-from .nodes import Body, bodies
 from .plan import Expected, Plan, PlannedCase, PlannedMesh
+from .tasks import Body, bodies
 
 DOUBT = 1.3  # expected numbers of a case over those that a file holds: the nodes of a mesh are expected, too
 DISK_DOUBT = 2.0  # expected bytes over those that are free

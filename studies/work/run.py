@@ -1,4 +1,4 @@
-"""Runs a plan: the nodes of its graph that are missing, then the tables and the report."""
+"""Runs a plan: the tasks that are missing, then the tables and the report."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from ..store.run_directory import (
     REPORT,
     RESOLVED,
     STUDY,
-    case_path,
     failure_path,
     keep_told,
     read_plan,
@@ -33,11 +32,12 @@ from ..study.config import geometry_error, resolved
 from ..study.errors import MeshError
 from ..study.files import text_without_folders, without_folders
 from ..study.units import shown
-from .engine import Outcome, Places, run_nodes
 from .explain import summary
-from .nodes import Node, _item, _on_mesh, bodies, graph
 from .plan import Plan, PlannedCase
+from .pool import Pool, local_pool, run_tasks
 from .room import beyond_memory, unknown_memory, without_room
+from .tasks import Task, bodies, on_case, tasks_of
+from .worker import Said
 
 
 class RunError(ValueError):
@@ -69,7 +69,7 @@ class Options:
     timeout: float | None = None
     memory: int | None = None
     fail_fast: bool = False
-    scheduler: str | None = None  # address of a Dask scheduler, whose workers do the nodes
+    scheduler: str | None = None  # address of a Dask scheduler, whose workers do the tasks
     insecure_scheduler: bool = False  # also without TLS on another machine
 
 
@@ -115,9 +115,9 @@ def run_plan(
         used = 0.0
         try:
             if cases or _decides(plan):
-                with _places(plan, options) as places:
-                    used = _run_missing(plan, cases, options, watch, places)
-                    _time_frames(plan, cases, options, watch, places)
+                with _pool(plan, options) as pool:
+                    used = _run_missing(plan, cases, options, watch, pool)
+                    _time_frames(plan, cases, options, watch, pool)
         finally:  # workers may have been killed while they wrote, by an interruption too
             _tidy(plan)
         run, report = finish(plan.directory)
@@ -193,18 +193,16 @@ def _tidy(plan: Plan) -> None:
 
 
 @contextmanager
-def _places(plan: Plan, options: Options) -> Iterator[Places]:
-    """Where the nodes are done: on this machine, or on a cluster."""
+def _pool(plan: Plan, options: Options) -> Iterator[Pool]:
+    """What does the tasks: processes of this machine, or a cluster."""
     if options.scheduler is None:
-        from .local import local_places
-
-        with local_places(options.jobs, options.memory) as here:
+        with local_pool(options.jobs, options.memory) as here:
             yield here
         return
-    from .cluster import cluster_places
+    from .cluster import cluster_pool
 
     insecure = options.insecure_scheduler
-    with cluster_places(options.scheduler, plan.directory, options.memory, insecure=insecure) as cluster:
+    with cluster_pool(options.scheduler, plan.directory, options.memory, insecure=insecure) as cluster:
         yield cluster
 
 
@@ -213,42 +211,30 @@ def _run_missing(
     cases: Sequence[PlannedCase],
     options: Options,
     watch: Callable[[Event], None],
-    places: Places,
+    pool: Pool,
 ) -> float:
-    """Do the nodes; returns the seconds of processor that they took."""
+    """Do the tasks; returns the seconds of processor that they took."""
     if options.scheduler is not None:  # whose workers run elsewhere
         plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
-    logs = plan.directory / "failed"
-    nodes = graph(plan, cases, places.count, run=uuid4().hex)
-    count = sum(max(1, len(node.items)) for node in nodes)
-    watch(Event("begun", plan.study.study.name, count=count))
-    outcomes = run_nodes(
-        nodes,
-        places,
-        logs,
+    tasks = tasks_of(plan, cases, run=uuid4().hex)
+    watch(Event("begun", plan.study.study.name, count=len(tasks)))
+    used = 0.0
+    for task, said in run_tasks(
+        tasks,
+        pool,
+        plan.directory / "failed",
         timeout=options.timeout,
         fail_fast=options.fail_fast,
-        started=lambda node: watch(Event("started", node.label)),
-        where=lambda node, line: watch(Event("at", node.label, message=line)),
-    )
-    used = 0.0
-    for outcome in outcomes:
-        used += outcome.said.processor
-        what = "failed" if outcome.kind == "cases" else "stopped"  # its cases say why
-        watch(
-            Event(
-                "done" if outcome.ok else what,
-                outcome.label,
-                outcome.said.seconds,
-                outcome.said.message,
-            )
-        )
-        if outcome.kind != "cases":
-            continue
-        if outcome.ok:
-            failure_path(plan.directory, outcome.id, outcome.label).unlink(missing_ok=True)
-        else:
-            _keep_failure(plan, outcome)
+        started=lambda task: watch(Event("started", task.label)),
+        where=lambda task, line: watch(Event("at", task.label, message=line)),
+    ):
+        used += said.processor
+        what = "done" if said.ok else "failed" if task.case else "stopped"  # whose cases say why
+        watch(Event(what, task.label, said.seconds, said.message))
+        if task.case is not None and said.ok:
+            failure_path(plan.directory, task.case.hash, task.case.label).unlink(missing_ok=True)
+        elif task.case is not None:
+            _keep_failure(plan, task.case, said)
     return used
 
 
@@ -262,37 +248,42 @@ def _time_frames(
     cases: Sequence[PlannedCase],
     options: Options,
     watch: Callable[[Event], None],
-    places: Places,
+    pool: Pool,
 ) -> None:
     """Measure what frames take, once nothing else of this run is at work; a failure costs the times alone."""
     asked = plan.in_shard(options.shard) if _decides(plan) else cases
     first = {case.mesh: case for case in reversed(asked) if plan.case_file(case).exists()}
     if not first:
         return
-    items = [{**_item(case, plan), **_on_mesh(case, plan)} for case in reversed(first.values())]
+    items = [on_case(case, plan) for case in reversed(first.values())]
     payload = {
         "cache": str(plan.cache.absolute()),
         "directory": str(plan.directory.absolute()),
         "decides": _decides(plan),
         "items": items,
     }
-    node = Node("times", "times", "times of a frame", payload, frozenset())
-    logs = plan.directory.absolute() / "failed"
-    watch(Event("started", node.label))
-    for outcome in run_nodes([node], places, logs, timeout=options.timeout, started=lambda _: None):
-        if not outcome.ok:
-            told = f"the times of a frame are not measured: {outcome.said.message}"
+    task = Task("times", "times", "times of a frame", payload, frozenset())
+    watch(Event("started", task.label))
+    for _, said in run_tasks([task], pool, plan.directory.absolute() / "failed", timeout=options.timeout):
+        if not said.ok:
+            told = f"the times of a frame are not measured: {said.message}"
             watch(Event("told", plan.study.study.name, message=told))
 
 
-def _keep_failure(plan: Plan, outcome: Outcome) -> None:
+def _keep_failure(plan: Plan, case: PlannedCase, said: Said) -> None:
     """A failure, with its log, takes the place of whatever result the case had before."""
-    path = case_path(plan.directory, outcome.id, outcome.label)
+    path = plan.case_file(case)
     if not path.is_dir():  # which is no result, and may be why the case failed
         path.unlink(missing_ok=True)
-    reason = {"hash": outcome.id, "label": outcome.label}
-    reason |= {name: getattr(outcome.said, name) for name in ("code", "message", "remedy")}
-    write_failure(failure_path(plan.directory, outcome.id, outcome.label), reason, outcome.said.log)
+    label = case.label or plan.study.study.name
+    reason = {
+        "hash": case.hash,
+        "label": label,
+        "code": said.code,
+        "message": said.message,
+        "remedy": said.remedy,
+    }
+    write_failure(failure_path(plan.directory, case.hash, case.label), reason, said.log)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What the nodes of a graph do, each a pure function of files under their keys, and how a process does one."""
+"""What the tasks of a plan do, each a pure function of files under their keys, and how a process does one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from ..store.run_directory import add_times
 from ..study.errors import InputError, install_line
 from ..study.schema import Study
 from .cache import answer_path, limits_path, read_answer, steps_of, write_answer, write_limits
-from .case import Block, make_case
+from .case import make_case
 from .keys import level_key
 from .small_strain import small_strain_limits
 
@@ -37,7 +37,6 @@ OUT_OF_MEMORY = re.compile(
     "bad_alloc|memory allocation of|cannot allocate memory|cannot map zero-fill|failed to map segment", re.I
 )
 MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
-ATTEMPTS = 3  # of a node whose process dies
 WHERE = "where: "  # begins a line of a log that says where a solve is
 _APART = 2.0  # s between such lines
 SLOW = 20.0  # s of a set-up and a step, from which on a model is not answered again for its times alone
@@ -48,9 +47,8 @@ Payload = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Said:
-    """What became of one piece of work. `code` is "done", "input" (the user's), "error", "crashed" or "timeout"."""
+    """What became of a task. `code` is "done", "input" (the user's), "error", "crashed" or "timeout"."""
 
-    id: str
     code: str
     seconds: float
     message: str = ""
@@ -58,58 +56,57 @@ class Said:
     log: str = ""
     processor: float = 0.0  # seconds of all threads
 
-
-def run_node(text: str) -> str:
-    """Do a node, given as JSON; what became of it, or of each of its items, as JSON."""
-    node = json.loads(text)
-    do = _KINDS[node["kind"]]
-    with _output_to(Path(node["log"])), reported(_tell_log()):
-        said = list(do(node["payload"], node["id"]))
-    return json.dumps([asdict(one) for one in said])
+    @property
+    def ok(self) -> bool:
+        """Whether it is done."""
+        return self.code == "done"
 
 
-# --- the kinds of nodes ---
+def do_task(text: str) -> str:
+    """Do a task, given as JSON; what became of it, as JSON: an error is told, never raised."""
+    task = json.loads(text)
+    with _output_to(Path(task["log"])), reported(_tell_log()):
+        start, used = time.perf_counter(), time.process_time()
+        code, message, remedy = _outcome(lambda: _KINDS[task["kind"]](task["payload"]))
+        if OUT_OF_MEMORY.search(message):
+            message, remedy = "out of memory", MORE_MEMORY
+        seconds, processor = time.perf_counter() - start, time.process_time() - used
+    return json.dumps(asdict(Said(code, seconds, message, remedy, processor=processor)))
 
 
-def _mesh(payload: Payload, node: str) -> Iterator[Said]:
+# --- the kinds of tasks ---
+
+
+def _mesh(payload: Payload) -> None:
     """Put one mesh into the cache."""
-    yield _attempt(node, lambda: mesh_from_cache(*_geometry(payload), volume=payload["volume"]))
+    mesh_from_cache(*_geometry(payload), volume=payload["volume"])
 
 
-def _level(payload: Payload, node: str) -> Iterator[Said]:
+def _level(payload: Payload) -> None:
     """Put the refinement of a mesh into the cache."""
-
-    def make() -> None:
-        cache = Path(payload["cache"])
-        coarse = _meshes(payload, payload["level"] - 1).finest
-        write_level(mesh_path(cache, level_key(payload["mesh"], payload["level"])), *refine(coarse))
-
-    yield _attempt(node, make)
+    path = mesh_path(Path(payload["cache"]), level_key(payload["mesh"], payload["level"]))
+    write_level(path, *refine(_meshes(payload, payload["level"] - 1).finest))
 
 
-def _answers(payload: Payload, node: str) -> Iterator[Said]:
+def _answers(payload: Payload) -> None:
     """One set-up and all loads that are asked of it, each answer a file."""
-
-    def solve() -> None:
-        cache, level, name = Path(payload["cache"]), payload["level"], payload["name"]
-        meshes = _meshes(payload, level)
-        scenes = _scenes(payload["asked"], meshes)
-        asked = [one for one in payload["asked"] if one["key"] in scenes]
-        first = scenes[asked[0]["key"]]
-        prepared = Prepared(first, name, sum(len(one["factors"]) for one in asked))
-        for of_one in _by_modulus(asked, scenes):
-            scene = scenes[of_one[0]["key"]]
-            same = scene.tissue.youngs_modulus == first.tissue.youngs_modulus
-            own = prepared if same else prepared.of_modulus(scene, name)
-            steps = [scenes[one["key"]].load(factor) for one in of_one for factor in one["factors"]]
-            result = own.answer(steps)
-            if level:
-                result = restricted(result, meshes)
-            for place, one in enumerate(of_one):  # of several each is one step
-                answer = result if len(of_one) == 1 else steps_of(result, [place])
-                write_answer(answer_path(cache, one["key"]), answer, payload["run"])
-
-    yield _attempt(node, solve)
+    cache, level, name = Path(payload["cache"]), payload["level"], payload["name"]
+    meshes = _meshes(payload, level)
+    scenes = _scenes(payload["asked"], meshes)
+    asked = [one for one in payload["asked"] if one["key"] in scenes]
+    first = scenes[asked[0]["key"]]
+    prepared = Prepared(first, name, sum(len(one["factors"]) for one in asked))
+    for of_one in _by_modulus(asked, scenes):
+        scene = scenes[of_one[0]["key"]]
+        same = scene.tissue.youngs_modulus == first.tissue.youngs_modulus
+        own = prepared if same else prepared.of_modulus(scene, name)
+        steps = [scenes[one["key"]].load(factor) for one in of_one for factor in one["factors"]]
+        result = own.answer(steps)
+        if level:
+            result = restricted(result, meshes)
+        for place, one in enumerate(of_one):  # of several each is one step
+            answer = result if len(of_one) == 1 else steps_of(result, [place])
+            write_answer(answer_path(cache, one["key"]), answer, payload["run"])
 
 
 def _by_modulus(asked: Sequence[Payload], scenes: Mapping[str, Scene]) -> list[list[Payload]]:
@@ -132,63 +129,45 @@ def _scenes(asked: Sequence[Payload], meshes: Hierarchy) -> dict[str, Scene]:
     return scenes
 
 
-def _limits(payload: Payload, node: str) -> Iterator[Said]:
+def _limits(payload: Payload) -> None:
     """The small-strain limits of one case."""
-
-    def search() -> None:
-        study = Study.model_validate(payload["study"])
-        found = small_strain_limits(study, _meshes(payload, 0).finest)
-        write_limits(limits_path(Path(payload["cache"]), payload["limits"]), found)
-
-    yield _attempt(node, search)
+    found = small_strain_limits(Study.model_validate(payload["study"]), _meshes(payload, 0).finest)
+    write_limits(limits_path(Path(payload["cache"]), payload["limits"]), found)
 
 
-def _cases(payload: Payload, _: str) -> Iterator[Said]:
-    """Some cases on one mesh: results from answers, metrics, one file each."""
-
-    @cache
-    def block() -> Block:  # made by the first case, whose failure it is if it fails
-        return Block(_meshes(payload, 0).finest, partial(_meshes, payload))
-
-    def work(item: Payload) -> None:
-        make_case({**payload, **item}, block())
-
-    for item in payload["items"]:
-        yield _attempt(item["id"], partial(work, item))
+def _case(payload: Payload) -> None:
+    """One case: results from answers, metrics, one file."""
+    make_case(payload, partial(_meshes, payload))
 
 
-def _times(payload: Payload, node: str) -> Iterator[Said]:
+def _times(payload: Payload) -> None:
     """What frames take, on the first case that is done of each mesh, every model in turns; into one file.
 
     Where no verdict hangs on it, models that are slow enough to be told from one answer are left out, and so are
     meshes for which no time is left.
     """
+    from ..models.frames import frame_times  # solvers, slow to load
 
-    def measure() -> None:
-        from ..models.frames import frame_times  # solvers, slow to load
-
-        decides, end = payload["decides"], time.perf_counter() + TIMES_BUDGET
-        rounds, budget = (5, 10.0) if decides else (3, 2.0)
-        found = {}
-        for item in payload["items"]:
-            if not decides and time.perf_counter() > end:
-                break
-            study = Study.model_validate(item["study"])
-            mesh = _meshes({**payload, **item}, 0).finest
-            slow = set() if decides else _slow(item, Path(payload["cache"]))
-            names = [name for name in study.study.models if name not in slow]
-            models = frame_times(build_scene(study, mesh), names, rounds, budget)
-            found[item["mesh"]] = {
-                "case": item["label"],
-                "processor": processor_name(),
-                "models": {
-                    name: {part: getattr(times, part).tolist() for part in ("setup", "contact", "everywhere")}
-                    for name, times in models.items()
-                },
-            }
-        add_times(Path(payload["directory"]), found)
-
-    yield _attempt(node, measure)
+    decides, end = payload["decides"], time.perf_counter() + TIMES_BUDGET
+    rounds, budget = (5, 10.0) if decides else (3, 2.0)
+    found = {}
+    for item in payload["items"]:
+        if not decides and time.perf_counter() > end:
+            break
+        study = Study.model_validate(item["study"])
+        mesh = _meshes({**payload, **item}, 0).finest
+        slow = set() if decides else _slow(item, Path(payload["cache"]))
+        names = [name for name in study.study.models if name not in slow]
+        models = frame_times(build_scene(study, mesh), names, rounds, budget)
+        found[item["mesh"]] = {
+            "case": item["label"],
+            "processor": processor_name(),
+            "models": {
+                name: {part: getattr(times, part).tolist() for part in ("setup", "contact", "everywhere")}
+                for name, times in models.items()
+            },
+        }
+    add_times(Path(payload["directory"]), found)
 
 
 def _slow(item: Payload, cache: Path) -> set[str]:
@@ -201,12 +180,12 @@ def _slow(item: Payload, cache: Path) -> set[str]:
     return found
 
 
-_KINDS: dict[str, Callable[[Payload, str], Iterator[Said]]] = {
+_KINDS: dict[str, Callable[[Payload], None]] = {
     "mesh": _mesh,
     "level": _level,
     "answers": _answers,
     "limits": _limits,
-    "cases": _cases,
+    "case": _case,
     "times": _times,
 }
 
@@ -237,16 +216,6 @@ def _stored_meshes(cache: str, key: str, level: int) -> Hierarchy | None:
 
 
 # --- one piece of work ---
-
-
-def _attempt(name: str, work: Callable[[], object]) -> Said:
-    """What became of a piece of work; an error is told, never raised."""
-    start, used = time.perf_counter(), time.process_time()
-    code, message, remedy = _outcome(work)
-    if OUT_OF_MEMORY.search(message):
-        message, remedy = "out of memory", MORE_MEMORY
-    seconds, processor = time.perf_counter() - start, time.process_time() - used
-    return Said(name, code, seconds, message, remedy, processor=processor)
 
 
 def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:

@@ -22,8 +22,8 @@ from vdmbench.study.config import expand
 from vdmbench.study.registry import Family
 from vdmbench.study.schema import Study
 from vdmbench.work.explain import refused
-from vdmbench.work.nodes import bodies
 from vdmbench.work.plan import make_plan
+from vdmbench.work.tasks import bodies
 
 X, Y, Z = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0])
 STUDY: dict[str, Any] = {

@@ -1,12 +1,12 @@
-"""The command with nodes that never end."""
+"""The command with tasks that never end."""
 
 from __future__ import annotations
 
 from vdmbench.cli.main import main
-from vdmbench.work import local
+from vdmbench.work import pool
 
 from .processes import endless
 
 if __name__ == "__main__":
-    local.run_node = endless
+    pool.do_task = endless
     main()

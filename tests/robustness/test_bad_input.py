@@ -21,7 +21,7 @@ import h5py
 import pytest
 
 from tests.command import write_study
-from tests.in_process import HerePlaces
+from tests.in_process import HerePool
 from tests.store.test_store import _reseal
 from vdmbench import machine
 from vdmbench.cli.main import main
@@ -132,9 +132,9 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str, int, str]] = {
 
 
 @contextlib.contextmanager
-def in_this_process(*_: Any) -> Iterator[HerePlaces]:
+def in_this_process(*_: Any) -> Iterator[HerePool]:
     """Places without processes."""
-    yield HerePlaces()
+    yield HerePool()
 
 
 @pytest.fixture(autouse=True)
@@ -143,7 +143,7 @@ def here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     page = ModuleType("vdmbench.report.page")
     monkeypatch.setattr(page, "write_report", lambda _, path: path.touch(), raising=False)
     monkeypatch.setitem(sys.modules, page.__name__, page)
-    monkeypatch.setattr(run, "_places", in_this_process)
+    monkeypatch.setattr(run, "_pool", in_this_process)
     monkeypatch.setattr("signal.signal", lambda *_: None)
     monkeypatch.chdir(tmp_path)
 

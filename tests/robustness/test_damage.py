@@ -110,7 +110,7 @@ def _run(directory: Path) -> int:
     """What the workers of a run do, here; how many cases they did."""
     plan = _plan(directory)
     cases = plan.cases_to_run()
-    failed = [outcome.said for outcome in outcomes_of(plan) if not outcome.ok]
+    failed = [said for _, said in outcomes_of(plan) if not said.ok]
     if failed:
         raise OSError(errno.EISDIR, failed[0].message)
     return len(cases)

@@ -23,8 +23,8 @@ from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.store.cases import read_case
 from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
-from vdmbench.work.nodes import bodies
 from vdmbench.work.plan import Plan, PlannedCase, make_plan
+from vdmbench.work.tasks import bodies
 
 BASE = {"kind": "fixed", "region": "base"}
 FINGER = {"name": "finger", "kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"}
@@ -86,9 +86,9 @@ def plan_of(
     return make_plan(study, expand(study), directory, cache, fresh=fresh)
 
 
-def run(plan: Plan, *, jobs: int = 1) -> list[CaseResult]:
-    """The cases of a plan, all of whose nodes are done here."""
-    do_cases(plan, jobs=jobs)
+def run(plan: Plan) -> list[CaseResult]:
+    """The cases of a plan, all of whose tasks are done here."""
+    do_cases(plan)
     return [read_case(plan.case_file(case)) for case in plan.cases]
 
 

@@ -16,8 +16,8 @@ from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_case
 from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
-from vdmbench.work.nodes import bodies
 from vdmbench.work.plan import Plan, make_plan
+from vdmbench.work.tasks import bodies
 
 MODULI = [2000.0, 5000.0, 11000.0]
 BASE: dict[str, Any] = {

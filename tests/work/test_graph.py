@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections import Counter
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +13,16 @@ from numpy.testing import assert_allclose
 
 import fem_reference.condensed
 from solver_common.solution import Status
-from tests.in_process import HerePlaces, outcomes_of
+from tests.in_process import HerePool, outcomes_of
 from vdmbench import models
 from vdmbench.measures import metrics
 from vdmbench.store.cases import read_case
-from vdmbench.work import nodes
-from vdmbench.work.engine import run_nodes
+from vdmbench.work import tasks
 from vdmbench.work.explain import summary
-from vdmbench.work.local import local_places
-from vdmbench.work.nodes import bodies, graph
+from vdmbench.work.pool import local_pool, run_tasks
 from vdmbench.work.room import without_room
 from vdmbench.work.run import Event, Options, _run_missing
+from vdmbench.work.tasks import bodies, tasks_of
 
 from . import shared_work
 from .shared_work import (
@@ -143,7 +140,7 @@ def test_a_further_force_costs_no_answer(tmp_path: Path, cache: Path, made: Coun
     made.clear()
     forces = TABLES["sweep"] | {"constraints.finger.force": [0.1, 0.3, 0.7, -0.2]}
     plan = plan_of(tmp_path, cache, sweep=forces)
-    assert {node.kind for node in graph(plan, plan.cases_to_run(), 1, "")} == {"cases"}
+    assert {task.kind for task in tasks_of(plan, plan.cases_to_run(), "")} == {"case"}
     assert len(run(plan)) == 8
     assert not made
 
@@ -152,7 +149,7 @@ def test_a_word_in_the_title_and_a_limit_of_acceptance_cost_no_node(tmp_path: Pa
     run(plan_of(tmp_path, cache))
     title, tighter = TABLES["study"] | {"title": "Another"}, {"displacement_error": 0.01}
     plan = plan_of(tmp_path, cache, study=title, acceptance=tighter)
-    assert graph(plan, plan.cases_to_run(), 1, "") == []
+    assert tasks_of(plan, plan.cases_to_run(), "") == []
 
 
 def test_another_study_uses_the_same_answers(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
@@ -181,10 +178,9 @@ def test_what_nobody_asks_for_has_no_node(tmp_path: Path) -> None:
     plan = plan_of(
         tmp_path, tmp_path / "none", study={"name": "test", "models": ["vdm-vector"]}, uncertainty=None
     )
-    nodes = graph(plan, plan.cases, 1, "")
-    assert Counter(node.kind for node in nodes) == {"mesh": 1, "answers": 1, "cases": 1}
-    assert [len(node.items) for node in nodes] == [0, 0, 4], "two places and two forces"
-    assert not any(node.payload["volume"] for node in nodes), "no tetrahedra"
+    found = tasks_of(plan, plan.cases, "")
+    assert Counter(task.kind for task in found) == {"mesh": 1, "answers": 1, "case": 4}
+    assert not any(task.payload["volume"] for task in found), "no tetrahedra"
 
 
 def test_fresh_uses_nothing_that_is_stored(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
@@ -212,9 +208,8 @@ def test_a_damaged_answer_is_made_again(tmp_path: Path, made: Counter[str]) -> N
 
 def test_an_answer_that_is_gone_meanwhile_is_told(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, tmp_path / "cache")
-    cases = [node for node in graph(plan, plan.cases, 1, "") if node.kind == "cases"]
-    with local_places(1) as places:
-        said = [o.said for o in run_nodes(cases, places, tmp_path / "failed", started=lambda _: None)]
+    cases = [task for task in tasks_of(plan, plan.cases, "") if task.kind == "case"]
+    said = [one for _, one in run_tasks(cases, HerePool(), tmp_path / "failed")]
     assert all("is gone" in one.message and one.remedy for one in said)
 
 
@@ -248,9 +243,8 @@ def test_a_reference_that_failed_is_no_reference(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(models.Prepared, "answer", failing)
     plan = plan_of(tmp_path, tmp_path / "cache", uncertainty=None)
-    failed = [outcome for outcome in outcomes_of(plan) if not outcome.ok]
-    assert [outcome.kind for outcome in failed] == ["cases"] * 4
-    assert {outcome.said.remedy for outcome in failed} == {"do this"}
+    failed = [(task.kind, said.remedy) for task, said in outcomes_of(plan) if not said.ok]
+    assert failed == [("case", "do this")] * 4
 
 
 @pytest.mark.parametrize("displacements", [[-0.001, -0.002], [-0.001, 0.0]])
@@ -278,10 +272,9 @@ def test_one_two_and_three_places_give_the_same_numbers(tmp_path: Path) -> None:
     found = []
     for jobs in (1, 2, 3):
         plan = plan_of(tmp_path / f"{jobs}", tmp_path / f"cache-{jobs}")
-        with local_places(jobs) as places:
-            nodes = graph(plan, plan.cases, jobs, run="")
-            outcomes = list(run_nodes(nodes, places, tmp_path / "logs", started=lambda _: None))
-        assert all(outcome.ok for outcome in outcomes), outcomes
+        with local_pool(jobs) as pool:
+            outcomes = list(run_tasks(tasks_of(plan, plan.cases, run=""), pool, tmp_path / "logs"))
+        assert all(said.ok for _, said in outcomes), outcomes
         found.append([read_case(plan.case_file(case)) for case in plan.cases])
     assert list((tmp_path / "logs").iterdir()) == []
     for first, *others in zip(*found, strict=True):
@@ -331,39 +324,21 @@ def test_a_plan_works_out_its_set_ups_once(
     tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan, made = plan_of(tmp_path, cache, **ALONE), Counter[str]()
-    once = nodes._bodies
+    once = tasks._bodies
 
     def counted(*given: Any) -> Any:
         made["set-ups"] += 1
         return once(*given)
 
-    monkeypatch.setattr(nodes, "_bodies", counted)
+    monkeypatch.setattr(tasks, "_bodies", counted)
     summary(plan)
     assert without_room(plan, plan.cases_to_run()) == []
-    assert graph(plan, plan.cases_to_run(), 1, "")
+    assert tasks_of(plan, plan.cases_to_run(), "")
     assert made == {"set-ups": 1}
 
 
 def test_a_run_says_before_it_begins_how_much_there_is_to_tell(tmp_path: Path, cache: Path) -> None:
     plan, events = plan_of(tmp_path, cache, **ALONE), list[Event]()
-    _run_missing(plan, plan.cases_to_run(), Options(jobs=1), events.append, HerePlaces())
+    _run_missing(plan, plan.cases_to_run(), Options(jobs=1), events.append, HerePool())
     assert [event.kind for event in events].index("begun") == 0
     assert events[0].count == sum(event.kind in ("done", "failed", "stopped") for event in events) > 4
-
-
-def test_a_time_limit_is_for_each_case_of_a_node(tmp_path: Path, cache: Path) -> None:
-    plan = plan_of(tmp_path, cache, sweep=TISSUES["sweep"], uncertainty=None)
-    allowed: dict[str, float | None] = {}
-
-    class Watched(HerePlaces):
-        def submit(self, node: str, log: Path, seconds: float | None) -> Future[str]:
-            allowed[json.loads(node)["id"]] = seconds
-            return super().submit(node, log, seconds)
-
-    planned = graph(plan, plan.cases, 1, run="x")
-    outcomes = list(run_nodes(planned, Watched(), tmp_path / "failed", timeout=100.0, started=lambda _: None))
-    assert all(outcome.ok for outcome in outcomes)
-    cases = {node.id: len(node.items) for node in planned if node.kind == "cases"}
-    assert max(cases.values()) > 1
-    assert {node: allowed[node] for node in cases} == {node: 100.0 * count for node, count in cases.items()}
-    assert {allowed[node.id] for node in planned if node.kind == "answers"} == {100.0}

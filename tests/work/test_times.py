@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.in_process import HerePlaces, do_cases
+from tests.in_process import HerePool, do_cases
 from vdmbench import bench
 from vdmbench.models import frames
 from vdmbench.store.run_directory import TIMES, read_times
@@ -21,7 +21,7 @@ LIMITED = {"acceptance": {"frame_time": 1e-3}}
 
 
 def timed(plan: object, cases: object) -> None:
-    _time_frames(plan, cases, Options(jobs=1), lambda _: None, HerePlaces())  # type: ignore[arg-type]
+    _time_frames(plan, cases, Options(jobs=1), lambda _: None, HerePool())  # type: ignore[arg-type]
 
 
 def test_a_run_with_nothing_to_do_measures_a_time_that_decides_and_no_other(

@@ -1,8 +1,8 @@
-"""From the cases of a plan to the graph of the work that is not done yet: what nobody asks for has no node."""
+"""From the cases of a plan to the tasks that are not done yet: what nobody asks for has no task."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Node:
+class Task:
     """One piece of work.
 
     Attributes
     ----------
     id : its key
-    kind : which function of `vdmbench.work.worker` does it: "mesh", "level", "answers", "limits" or "cases"
+    kind : which function of `vdmbench.work.worker` does it: "mesh", "level", "answers", "limits" or "case"
     label : what to call it
     payload : what that function is given, plain JSON
-    needs : ids of the nodes to be done before
-    items : of "cases" the id, the label and the needs of each case
+    needs : ids of the tasks to be done before
+    case : of "case", which
     """
 
     id: str
@@ -34,7 +34,7 @@ class Node:
     label: str
     payload: Mapping[str, Any]
     needs: frozenset[str]
-    items: tuple[PlannedCase, ...] = ()
+    case: PlannedCase | None = None
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Body:
 
     @property
     def id(self) -> str:
-        """Key of the node: a body is set up once in a run."""
+        """Key of the task: a body is set up once in a run."""
         return f"answers {self.key} {self.asked[0].key if not self.superposes else ''}".strip()
 
     @property
@@ -86,17 +86,22 @@ def _bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
     return [Body(*about, tuple(asked[of].values())) for of, about in found.items()]
 
 
-def graph(plan: Plan, cases: Sequence[PlannedCase], jobs: int, run: str) -> list[Node]:
-    """The nodes that these cases need and whose files are not there, each after those that it needs."""
+def tasks_of(plan: Plan, cases: Sequence[PlannedCase], run: str) -> list[Task]:
+    """The tasks that these cases need and whose files are not there, each after those that it needs."""
     cache = str(plan.cache)
-    nodes: list[Node] = []
-    there: dict[str, str] = {}  # file's key -> node that makes it
+    tasks: list[Task] = []
+    there: dict[str, str] = {}  # file's key -> task that makes it
 
     def add(
-        kind: str, identity: str, label: str, payload: Mapping[str, Any], needs: Iterator[str] | Sequence[str]
+        kind: str,
+        identity: str,
+        label: str,
+        payload: Mapping[str, Any],
+        needs: Iterable[str],
+        case: PlannedCase | None = None,
     ) -> str:
         made = frozenset(there[need] for need in needs if need in there)
-        nodes.append(Node(identity, kind, label, {"cache": cache, "run": run, **payload}, made))
+        tasks.append(Task(identity, kind, label, {"cache": cache, "run": run, **payload}, made, case))
         return identity
 
     for mesh in plan.missing_meshes(cases):
@@ -128,46 +133,11 @@ def graph(plan: Plan, cases: Sequence[PlannedCase], jobs: int, run: str) -> list
             payload = _on_mesh(case, plan) | {"study": resolved(case.study), "limits": case.limits}
             label = f"limits of {case.label or plan.study.study.name}"
             there[case.limits] = add("limits", f"limits {case.limits}", label, payload, [case.mesh])
-    return nodes + _case_nodes(plan, cases, jobs, there, run)
-
-
-def _case_nodes(
-    plan: Plan, cases: Sequence[PlannedCase], jobs: int, there: Mapping[str, str], run: str
-) -> list[Node]:
-    """Cases that wait for the same nodes, in as many parts as there are jobs: they read their mesh once."""
-    blocks: dict[tuple[str, frozenset[str]], list[PlannedCase]] = {}
     for case in cases:
-        wants = [key for part in case.parts for want in part.wanted for key in want.answers]
-        needs = frozenset(there[key] for key in (case.mesh, case.limits or "", *wants) if key in there)
-        blocks.setdefault((case.mesh, needs), []).append(case)
-    nodes = []
-    for (_, needs), block in blocks.items():
-        size = -(-len(block) // jobs)
-        for part in (block[first : first + size] for first in range(0, len(block), size)):
-            payload = {
-                "cache": str(plan.cache),
-                "run": run,
-                **_on_mesh(part[0], plan),
-                "items": [_item(case, plan) for case in part],
-            }
-            label = part[0].label or plan.study.study.name
-            nodes.append(Node(f"cases {part[0].hash}", "cases", label, payload, needs, tuple(part)))
-    return nodes
-
-
-def one_by_one(node: Node) -> list[Node]:
-    """The cases of a node as nodes of their own: one of them may have been the death of its worker."""
-    return [
-        Node(
-            f"cases {case.hash} alone",
-            node.kind,
-            case.label,
-            {**node.payload, "items": [item]},
-            frozenset(),
-            (case,),
-        )
-        for case, item in zip(node.items, node.payload["items"], strict=True)
-    ]
+        keys = [key for part in case.parts for want in part.wanted for key in want.answers]
+        label = case.label or plan.study.study.name
+        add("case", case.hash, label, on_case(case, plan), [case.mesh, case.limits or "", *keys], case)
+    return tasks
 
 
 def _on_mesh(case: PlannedCase, plan: Plan) -> dict[str, Any]:
@@ -179,13 +149,13 @@ def _on_mesh(case: PlannedCase, plan: Plan) -> dict[str, Any]:
     }
 
 
-def _item(case: PlannedCase, plan: Plan) -> dict[str, Any]:
-    return {
+def on_case(case: PlannedCase, plan: Plan) -> dict[str, Any]:
+    """What the task of a case is given."""
+    return _on_mesh(case, plan) | {
         "id": case.hash,
         "label": case.label,
         "swept": dict(case.swept),
         "swept_units": dict(case.swept_units),
-        "study": resolved(case.study),
         "path": str(plan.case_file(case)),
         "wanted": [asdict(want) for want in case.wanted],
         "limits": case.limits,

@@ -1,0 +1,329 @@
+"""One pool: does tasks, each as soon as those that it needs are done, in processes here or on a cluster.
+
+A task that fails costs what needs it, and nothing else. A process that dies costs the task that it was at, which is
+tried again, `ATTEMPTS` times in all.
+
+Here a thread of each worker process hands it one task after the other, by a pipe of their own. The workers are
+forked from a clean server process that has loaded the libraries, and end with the program that started them.
+Pebble's pool waits for ever for a task whose worker ends with exit code 0, or dies before it said that it began
+(5.2.3), so this is ours.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import json
+import multiprocessing
+import os
+import re
+import signal
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
+from concurrent.futures import wait as wait_for_one
+from dataclasses import replace
+from graphlib import TopologicalSorter
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from typing import Protocol
+
+from ..machine import limit_memory, machine_memory, usable_processors
+from .tasks import Task
+from .worker import MORE_MEMORY, OUT_OF_MEMORY, WHERE, Said, do_task
+
+ATTEMPTS = 3  # of a task whose process dies
+_LOOK = 1.0  # s between looks at what the tasks at work say of where they are
+_OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
+_PRELOADED = (
+    "vdmbench.work.worker",
+    "numpy.ma",
+    "scipy.sparse.linalg",
+    "skfem",
+    "vdm.model",
+    "fem_reference.linear",
+)
+
+
+class Pool(Protocol):
+    """Where tasks are done: `LocalPool` here, `vdmbench.work.cluster.Cluster` elsewhere."""
+
+    @property
+    def count(self) -> int:
+        """How many at once."""
+
+    def submit(self, task: str, log: Path, seconds: float | None) -> Future[str]:
+        """Do a task, given as JSON, in `seconds` at most; raises through the future, see `failure`."""
+
+    def failure(self, error: BaseException, log: str) -> Said:
+        """What an error of a future means; "crashed" where its process died, and it may be tried again."""
+
+
+def run_tasks(
+    tasks: Sequence[Task],
+    pool: Pool,
+    logs: Path,
+    *,
+    timeout: float | None = None,
+    fail_fast: bool = False,
+    started: Callable[[Task], None] = lambda _: None,
+    where: Callable[[Task, str], None] = lambda *_: None,
+) -> Iterator[tuple[Task, Said]]:
+    """Do all tasks, yielding what became of each as it comes.
+
+    Parameters
+    ----------
+    logs : directory for what the tasks print, kept only of what fails
+    timeout : seconds for one task
+    where : is told where a task at work is, each time that it has said something new
+    """
+    order = {task.id: place for place, task in enumerate(tasks)}
+    sorter = TopologicalSorter({task.id: task.needs & order.keys() for task in tasks})
+    sorter.prepare()
+    ready: list[int] = []  # a heap of places in `tasks`
+    failed: dict[str, Said] = {}
+    at_work: dict[Future[str], Task] = {}
+    attempts: Counter[str] = Counter()
+    heard: dict[str, str] = {}
+    logs.mkdir(parents=True, exist_ok=True)
+
+    def log_of(task: Task) -> Path:
+        return logs / f".{task.id.replace(' ', '-')[:120]}.log"
+
+    while sorter.is_active():
+        for identity in sorter.get_ready():
+            heapq.heappush(ready, order[identity])
+        ended: list[tuple[Task, Said]] = []
+        while ready and len(at_work) < pool.count:
+            task = tasks[heapq.heappop(ready)]
+            cause = next((failed[need] for need in sorted(task.needs) if need in failed), None)
+            if cause is not None:
+                ended.append((task, cause))
+                continue
+            started(task)
+            attempts[task.id] += 1
+            log = log_of(task)
+            text = json.dumps({"kind": task.kind, "payload": task.payload, "log": str(log)})
+            at_work[pool.submit(text, log, timeout)] = task
+        if not ended:
+            finished, working = wait_for_one(at_work, _LOOK, return_when=FIRST_COMPLETED)
+            for future in working:
+                task = at_work[future]
+                line = _last_place(log_of(task))
+                if line != heard.get(task.id, ""):
+                    heard[task.id] = line
+                    where(task, line)
+            for future in finished:
+                task = at_work.pop(future)
+                said = _said(future, pool, log_of(task))
+                if said.code == "crashed" and attempts[task.id] < ATTEMPTS:
+                    heapq.heappush(ready, order[task.id])
+                else:
+                    ended.append((task, said))
+        for task, said in ended:
+            if not said.ok:
+                failed[task.id] = said
+            yield task, said
+            if fail_fast and not said.ok:
+                return
+            sorter.done(task.id)
+
+
+def _said(future: Future[str], pool: Pool, log: Path) -> Said:
+    """What became of a task whose process has answered or died; its log goes."""
+    printed = _read(log)
+    log.unlink(missing_ok=True)
+    error = future.exception()
+    if error is not None:
+        return pool.failure(error, printed)
+    said = Said(**json.loads(future.result()))
+    return said if said.ok else replace(said, log=printed)
+
+
+def _read(log: Path) -> str:
+    try:
+        return log.read_text(errors="replace")
+    except OSError:
+        return ""
+
+
+def _last_place(log: Path) -> str:
+    """Where a task at work said last that it is; "" where it said nothing."""
+    lines = re.findall(f"{WHERE}(.*)\n", _read(log))
+    return lines[-1] if lines else ""
+
+
+# --- processes of this machine ---
+
+
+class WorkerDiedError(Exception):
+    """A worker that ended before it answered, with its exit code; None where it could not start."""
+
+    def __init__(self, code: int | None) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+class LocalPool:
+    """`jobs` worker processes, each with its share of the cores and of the memory [bytes]."""
+
+    def __init__(self, jobs: int, memory: int | None = None) -> None:
+        self.count = jobs
+        self._share = max(1, usable_processors() // jobs), memory or machine_memory() // jobs
+        self._threads = ThreadPoolExecutor(jobs)
+        self._own = threading.local()  # the worker of each thread
+        self._workers: set[_Worker] = set()
+        self._changes = threading.Lock()  # one process starts or ends at a time: multiprocessing looks at all
+        self._closed = False
+
+    def submit(self, task: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
+        """See `Pool`."""
+        return self._threads.submit(self._do, task, seconds)
+
+    def _do(self, task: str, seconds: float | None) -> str:
+        """What a task says. Raises TimeoutError, WorkerDiedError."""
+        worker: _Worker | None = getattr(self._own, "worker", None)
+        try:
+            if worker is None:
+                worker = self._own.worker = self._start()
+                worker.answer(None)  # that it is ready
+            return worker.ask(task, seconds)
+        except (EOFError, OSError) as error:
+            self._own.worker = None
+            code = self._end(worker) if worker is not None else None
+            if isinstance(error, TimeoutError):
+                raise
+            raise WorkerDiedError(code) from error
+
+    def _start(self) -> _Worker:
+        with self._changes:
+            if self._closed:
+                raise OSError("the workers are stopped")
+            worker = _Worker(do_task, *self._share)
+            self._workers.add(worker)
+            return worker
+
+    def _end(self, worker: _Worker) -> int | None:
+        with self._changes:
+            self._workers.discard(worker)
+            return worker.end()
+
+    def failure(self, error: BaseException, log: str) -> Said:
+        """See `Pool`."""
+        return told(error, log)
+
+    def close(self) -> None:
+        """Stop the workers, at work or not."""
+        with self._changes:
+            self._closed = True
+            for worker in self._workers:
+                worker.process.kill()
+        self._threads.shutdown(cancel_futures=True)
+        for worker in list(self._workers):
+            self._end(worker)
+
+
+@contextlib.contextmanager
+def local_pool(jobs: int, memory: int | None = None) -> Iterator[LocalPool]:
+    """Workers on this machine, gone when the block is left."""
+    pool = LocalPool(jobs, memory)
+    try:
+        yield pool
+    finally:
+        pool.close()
+
+
+class _Worker:
+    """A process, and the pipe by which it gets tasks. Raises OSError, EOFError where it cannot start."""
+
+    def __init__(self, do: Callable[[str], str], threads: int, memory: int) -> None:
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(list(_PRELOADED))
+        self.pipe, theirs = context.Pipe()
+        self.process: ForkServerProcess = context.Process(target=serve, args=(theirs, do, threads, memory))
+        libraries = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": str(threads)}
+        with theirs, _environment(PYTHONSAFEPATH="1", **libraries):  # none imports from the working directory
+            resource_tracker.ensure_running()  # which lets Ctrl-C through again
+            signal.pthread_sigmask(signal.SIG_BLOCK, _OF_A_TERMINAL)  # here and in what this thread starts
+            self.process.start()
+
+    def ask(self, task: str, seconds: float | None) -> str:
+        """Its answer to a task. Raises TimeoutError after `seconds`, EOFError or OSError where it died."""
+        self.pipe.send(task)
+        return self.answer(seconds)
+
+    def answer(self, seconds: float | None) -> str:
+        """What it sends next. Raises as `ask` does."""
+        if not wait([self.pipe, self.process.sentinel], seconds):
+            self.process.kill()
+            raise TimeoutError("stopped", seconds)
+        if not self.pipe.poll():
+            raise EOFError
+        answer: str = self.pipe.recv()
+        return answer
+
+    def end(self) -> int | None:
+        """Stop it, unless it has ended by itself; its exit code."""
+        self.process.join(1.0)
+        self.process.kill()
+        self.process.join()
+        code = self.process.exitcode
+        self.process.close()
+        self.pipe.close()
+        return code
+
+
+def serve(pipe: Connection, do: Callable[[str], str], threads: int, memory: int) -> None:
+    """What a worker process does: task after task, until nobody asks any more."""
+    os.environ["RAYON_NUM_THREADS"], os.environ["OMP_NUM_THREADS"] = str(threads), "1"
+    threading.Thread(target=_end_with_starter, daemon=True).start()
+    limit_memory(memory)
+    with contextlib.suppress(EOFError, OSError):
+        pipe.send("")
+        while True:
+            pipe.send(do(pipe.recv()))
+
+
+def _end_with_starter() -> None:
+    starter = multiprocessing.parent_process()
+    assert starter is not None
+    starter.join()
+    os._exit(1)
+
+
+def told(error: BaseException, log: str) -> Said:
+    """What an error of a local pool's future means."""
+    match error:
+        case TimeoutError(args=(_, seconds)):
+            remedy = "allow more with --timeout, or use a coarser mesh"
+            return Said("timeout", seconds, f"stopped after {seconds:g} s", remedy, log)
+        case WorkerDiedError(code=code):
+            if OUT_OF_MEMORY.search(log):
+                return Said("crashed", 0.0, "out of memory", MORE_MEMORY, log)
+            if code in (None, -signal.SIGKILL):
+                how = "could not start" if code is None else "was killed by the system"
+                return Said("crashed", 0.0, f"the worker {how}, most likely out of memory", MORE_MEMORY, log)
+            how = f"ended with exit code {code}"
+            if code < 0:
+                how = f"crashed with signal {signal.Signals(-code).name}"
+            remedy = "see the log in the run directory's failed/ folder; other cases are not affected"
+            return Said("crashed", 0.0, f"the worker {how}", remedy, log)
+    return Said("error", 0.0, f"{type(error).__name__}: {error}", "this is a bug: please report it", log)
+
+
+@contextlib.contextmanager
+def _environment(**values: str) -> Iterator[None]:
+    """Environment variables for processes that are started inside."""
+    before = dict(os.environ)
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name in values:
+            if name in before:
+                os.environ[name] = before[name]
+            else:
+                del os.environ[name]
