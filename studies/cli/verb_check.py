@@ -22,8 +22,7 @@ def run(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
     from ..study.config import resolved
     from ..study.errors import StudyError
-    from ..work.explain import blockers, refused
-    from ..work.room import beyond_memory, unknown_memory
+    from ..work.explain import beyond_memory, blockers, refused
     from ..work.scene_check import scene_problems
     from ..work.tasks import bodies
 
@@ -37,7 +36,6 @@ def run(options: argparse.Namespace) -> int:
         expected = refused(plan, plan.cases, work)
         doubts = scene_problems(plan)
         tight = [(("geometry", "mesh_size"), text) for text in beyond_memory(plan, work, 1.0).values()]
-        tight += [(("study", "models"), text) for text in unknown_memory(plan, work)]
         doubts += study._source.error(tight, resolved(study)).problems
     except StudyError as error:
         if options.json:

@@ -1,4 +1,4 @@
-"""`vdmbench plan`: what a run would do, and what it would store."""
+"""`vdmbench plan`: what a run would do."""
 
 from __future__ import annotations
 
@@ -15,16 +15,14 @@ ARGUMENTS = PLANS
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what a run would do, and what it would store."""
+    """Print what a run would do."""
     from ..work.explain import summary
-    from ..work.room import free_bytes
 
     study, _ = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
     check_files(plan, plan.cases_to_run())
-    free = free_bytes(plan.directory)
-    planned = summary(plan) | {"directory": str(plan.directory), "disk_free": free}
+    planned = summary(plan) | {"directory": str(plan.directory)}
     if options.json:
         return print_json(planned)
     print(
@@ -43,5 +41,4 @@ def run(options: argparse.Namespace) -> int:
     for kind in ("needed", "skipped", "refused"):
         for line in planned[kind]:
             print(folded(f"{'will be refused' if kind == 'refused' else kind}: {line}"))
-    print(f"to store: about {planned['stored_bytes'] / 1e6:.1f} MB ({free / 1e9:.3g} GB free)")
     return OK

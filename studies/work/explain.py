@@ -1,4 +1,4 @@
-"""A plan in words: what is shared, what is known already, what nobody asked for, and what has no room."""
+"""A plan in words: what is shared, what is known already, and what has no chance."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from .. import models
+from ..body.mesh_cache import mesh_path, read_mesh
+from ..machine import machine_memory
 from ..scene.regions import body_extent, lies_outside, origin
 from ..study.config import holds_nothing
-from ..study.errors import Finding, plural
+from ..study.errors import Finding, MeshError, plural
 from ..study.files import swept_without_folders, told_directory
-from ..study.registry import DISPLACEMENT_ELEMENTS, lacks, split
+from ..study.registry import DISPLACEMENT_ELEMENTS, REFINED, lacks, split
 from ..study.schema import extras_for
+from ..study.shapes import fewer_nodes
 from .cache import answer_path
-from .plan import Plan, PlannedCase
-from .room import DOUBT, beyond_memory, expected_mesh, stored_bytes, unknown_memory, without_room
+from .plan import Expected, Plan, PlannedCase, PlannedMesh
 from .tasks import Body, bodies
+
+DOUBT = 1.3  # counted nodes of a mesh over those that are expected
+MEMORY_DOUBT = 2.0  # declared bytes over those of the machine, from which on nothing is tried
 
 
 def summary(plan: Plan) -> dict[str, Any]:
@@ -60,10 +65,9 @@ def summary(plan: Plan) -> dict[str, Any]:
             }
             for body in work
         ],
-        "needed": _needed(todo, work) + unknown_memory(plan, work),
+        "needed": _needed(todo, work),
         "skipped": _skipped(plan, todo),
         "refused": refused(plan, todo, work),
-        "stored_bytes": stored_bytes(plan, todo),
     }
 
 
@@ -73,50 +77,30 @@ def surfaces(plan: Plan) -> dict[str, str]:
 
 
 def _needed(todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
-    """Set-ups and solves of each model on each level, beside the load steps that are made from them."""
+    """Set-ups and solves of each model on each level, from which all load steps are made."""
     lines = []
-    meshes = {case.mesh for case in todo}
     if todo:
+        meshes = {case.mesh for case in todo}
         lines.append(f"{plural(len(meshes), 'mesh', 'meshes')} for {plural(len(todo), 'case')}")
     for name, level in dict.fromkeys((body.name, body.level) for body in work):
         own = [body for body in work if (body.name, body.level) == (name, level)]
         solves = sum(len(asked.factors) for body in own for asked in body.asked)
-        keys = {asked.key for body in own for asked in body.asked}
-        steps = sum(
-            len(case.study.load.history)
-            for case in (part for one in todo for part in one.parts)
-            if any((w.name, w.level) == (name, level) and keys.intersection(w.answers) for w in case.wanted)
-        )
         where = f", refined {plural(level, 'time')} for its error bar" if level else ""
-        lines.append(
-            f"{name}{where}: {plural(len(own), 'set-up')} and {plural(solves, 'solve')} "
-            f"for {plural(steps, 'load step')}"
-        )
+        lines.append(f"{name}{where}: {plural(len(own), 'set-up')} and {plural(solves, 'solve')}")
     if varied := max((len(case.variations) for case in todo), default=0):
         lines.append(f"{plural(varied, 'variation')} of each case for what is not known of its inputs")
-    if any(case.limits for case in todo):
-        lines.append("small-strain limits: a load that is tried serves all models and thresholds")
+    if searched := sum(case.limits is not None for case in todo):
+        lines.append(f"small-strain limits of {plural(searched, 'case')}")
     return lines
 
 
 def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
     """What is not done, and why."""
     lines = []
-    volumetric = [name for name in plan.study.study.models if models.find(name)[0].volumetric]
-    if not volumetric:
-        lines.append("tetrahedra: no model of this study needs the inside")
-    if any(models.superposes(name) for name in volumetric):
-        lines.append("strains inside the body of the linear models: no metric asks for them")
     if len(plan.cases) > len(plan.state):
         lines.append(f"{len(plan.cases) - len(plan.state)} cases that repeat another one of the sweep")
-    states = list(plan.state.values())
-    done = len({case.hash for case in plan.cases if plan.is_done(case)})
-    if done:
+    if done := sum(map(plan.is_done, plan.in_order)):
         lines.append(f"{plural(done, 'case')}: already in the run directory")
-    if "stale" in states and not plan.fresh:
-        lines.append(
-            f"solving {plural(states.count('stale'), 'stale case')} again: only the metrics have changed"
-        )
     cached = len(plan.meshes) - len(plan.missing_meshes(plan.cases))
     if cached:
         lines.append(f"{plural(cached, 'mesh', 'meshes')}: already in the cache")
@@ -128,9 +112,51 @@ def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
     return lines
 
 
+# --- what has no chance ---
+
+
+def expected_mesh(plan: Plan, mesh: PlannedMesh) -> Expected | None:
+    """What a mesh in the cache is, or one that is not there will be; None where its file cannot be meshed."""
+
+    def look() -> Expected | None:
+        cached = read_mesh(mesh_path(plan.cache, mesh.key))
+        if cached is not None:
+            return Expected.of_mesh(cached)
+        try:
+            return mesh.expected
+        except MeshError:
+            return None
+
+    return plan.remembered(("mesh", mesh.key), look)
+
+
+def beyond_memory(plan: Plan, work: Sequence[Body], doubt: float = MEMORY_DOUBT) -> dict[str, str]:
+    """Mesh -> what cannot be solved on it: it takes more than `doubt` times the memory of this machine."""
+    there = machine_memory()
+    lines = {}
+    for body in sorted(work, key=lambda body: _held(plan, body)):  # of a mesh the one that takes the most
+        mesh, needed = plan.meshes[body.mesh], _held(plan, body)
+        known = expected_mesh(plan, mesh)
+        if known is not None and needed > doubt * there:
+            remedy = fewer_nodes(mesh.geometry, float((known.high - known.low).max()))
+            lines[body.mesh] = (
+                f"{body.name}{REFINED if body.level else ''} on a {mesh.label} would take about "
+                f"{needed / 1e9:,.0f} GB, and this machine has {there / 1e9:,.0f}; {remedy}"
+            )
+    return lines
+
+
+def _held(plan: Plan, body: Body) -> float:
+    """Bytes that a set-up declares to take; 0 where nobody knows."""
+    (model, solver), known = models.find(body.name), expected_mesh(plan, plan.meshes[body.mesh])
+    if model.memory is None or known is None:
+        return 0.0
+    return float(model.memory(known.size.refined(body.level), solver))
+
+
 def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
     """What will be refused of these cases, with their work, so far as that is beyond doubt."""
-    lines = [text for _, text in blockers(plan, cases, work)] + without_room(plan, cases)
+    lines = [text for _, text in blockers(plan, cases, work)]
     for name in plan.study.study.models:
         lines += dict.fromkeys(f"{name}{told}" for told in _refusals(plan, cases, name))
     return lines

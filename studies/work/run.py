@@ -32,10 +32,9 @@ from ..study.config import geometry_error, resolved
 from ..study.errors import MeshError
 from ..study.files import text_without_folders, without_folders
 from ..study.units import shown
-from .explain import summary
+from .explain import beyond_memory, summary
 from .plan import Plan, PlannedCase
 from .pool import Pool, local_pool, run_tasks
-from .room import beyond_memory, unknown_memory, without_room
 from .tasks import Task, bodies, on_case, tasks_of
 from .worker import Said
 
@@ -100,8 +99,6 @@ def run_plan(
         _check_study(plan)
         if options.scheduler is None:
             _check_memory(plan, cases, watch)
-        if lines := without_room(plan, cases):
-            raise RunError("\n".join(lines))
         _tidy(plan)
         texts = {
             STUDY: text_without_folders(study_text).encode(),
@@ -177,7 +174,7 @@ def _resumed(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
 def _check_memory(plan: Plan, cases: Sequence[PlannedCase], watch: Callable[[Event], None]) -> None:
     """Raises StudyError where a case needs far more memory than there is; tells where it may be too much."""
     work = bodies(plan, cases)
-    for sentence in (*beyond_memory(plan, work, 1.0).values(), *unknown_memory(plan, work)):
+    for sentence in beyond_memory(plan, work, 1.0).values():
         watch(Event("told", plan.study.study.name, message=f"warning: {sentence}"))
     for key, sentence in beyond_memory(plan, work).items():
         own = plan.meshes[key].geometry.has_own_tetrahedra

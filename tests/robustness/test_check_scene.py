@@ -107,7 +107,7 @@ def test_a_scene_is_told_with_file_and_line(name: str, capsys: pytest.CaptureFix
 
 def test_what_the_memory_does_not_do_is_no_study_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
     write_study(Path())
-    monkeypatch.setattr("vdmbench.work.room.machine_memory", lambda: 1_000)
+    monkeypatch.setattr("vdmbench.work.explain.machine_memory", lambda: 1_000)
     with pytest.raises(
         StudyError, match=r"small.toml:11: geometry.mesh_size: fem-linear on a mesh of sphere"
     ):
@@ -118,7 +118,7 @@ def test_what_the_memory_may_not_do_is_doubted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_study(Path())
-    monkeypatch.setattr("vdmbench.work.room.machine_memory", lambda: 5_000_000)
+    monkeypatch.setattr("vdmbench.work.explain.machine_memory", lambda: 5_000_000)
     assert verb_check.run(parse(["check", "small.toml"])) == 0
     assert "warning: small.toml:11: geometry.mesh_size: fem-linear" in capsys.readouterr().out
 
