@@ -1,8 +1,9 @@
-"""A run directory: whose it is, what was planned in it and what failed, sealed and held against the case files."""
+"""A run directory: whose it is, what was planned in it, what failed, and what its report says."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import tomllib
@@ -19,7 +20,7 @@ from ..machine import json_text, write_atomically
 from ..scene.result import FrameTimes
 from ..study.schema import Study
 from .hdf5 import StoreError
-from .shapes import FailureShape, PlanShape, ToldShape, sealed, unsealed
+from .shapes import FailureShape, PlanShape, ToldShape, parsed
 
 PLAN, STUDY, RESOLVED, TIMES = "plan.json", "study.toml", "resolved.toml", "times.json"
 REPORT, STUDY_FILE, METRICS_FILE, TOLD = "report.html", "study.h5", "metrics.csv", "told.json"
@@ -93,62 +94,40 @@ def _holds_a_run(directory: Path) -> bool:
 # --- what was planned ---
 
 
-def write_plan(directory: Path, planned: Mapping[str, Any], texts: Mapping[str, bytes]) -> dict[str, Any]:
-    """Write the texts that a plan is of, by the names of their files, and the plan, with their hashes."""
-    whole = {**planned, "files": {name: _digest(text) for name, text in texts.items()}}
-    for name, text in texts.items():
-        write_atomically(directory / name, text)
-    rewrite_plan(directory, whole)
-    return whole
-
-
-def rewrite_plan(directory: Path, planned: Mapping[str, Any]) -> None:
-    """Write a plan that `write_plan` has returned, with what is known of it since."""
-    write_atomically(directory / PLAN, sealed(planned, PLAN))
+def write_plan(directory: Path, planned: Mapping[str, Any]) -> None:
+    """Write a plan."""
+    write_atomically(directory / PLAN, json_text(planned, indent=1).encode())
 
 
 def read_plan(directory: Path) -> dict[str, Any]:
     """What was planned in a run directory. Raises StoreError where it is none, or where the plan is damaged."""
     try:
-        plan = unsealed((directory / PLAN).read_bytes(), PLAN, PlanShape)
+        text = (directory / PLAN).read_bytes()
+        parsed(text, PlanShape)
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         raise StoreError(f"{directory}: not a run directory (it has no {PLAN})") from None
     except ValueError as error:
         raise StoreError(f"{directory}/{PLAN}: damaged ({error}); run the study again") from error
+    plan: dict[str, Any] = json.loads(text)
     return plan
 
 
-def read_study(directory: Path, plan: Mapping[str, Any]) -> tuple[Study, str]:
+def read_study(directory: Path) -> tuple[Study, str]:
     """The study of a run, and the file that it was read from.
 
     Raises
     ------
     StoreError
-        either is not what was planned, or the study is of another version of the program.
+        a file is gone or damaged, or of another version of the program.
     """
-    texts = {name: _text(directory / name) for name in (STUDY, RESOLVED)}
-    for name, text in texts.items():
-        if _digest(text) != plan["files"][name]:
-            raise StoreError(
-                f"{directory}/{name}: damaged (it is not what was run); run the study again to write it anew"
-            )
+    name = RESOLVED
     try:
-        whole = Study.model_validate(tomllib.loads(texts[RESOLVED].decode("utf-8")))
-        return whole, texts[STUDY].decode("utf-8")
-    except ValueError as error:  # no UTF-8, no TOML, no study
+        whole = Study.model_validate(tomllib.loads((directory / name).read_text(encoding="utf-8")))
+        name = STUDY
+        return whole, (directory / name).read_text(encoding="utf-8")
+    except (FileNotFoundError, IsADirectoryError, ValueError) as error:  # no UTF-8, no TOML, no study
         what = str(error).splitlines()[0]
-        raise StoreError(f"{directory}/{RESOLVED}: not readable ({what}); run the study again") from error
-
-
-def _text(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except (FileNotFoundError, IsADirectoryError) as error:
-        raise StoreError(f"{path}: not readable ({error.strerror}); run the study again") from error
-
-
-def _digest(text: bytes) -> str:
-    return hashlib.sha256(text).hexdigest()
+        raise StoreError(f"{directory}/{name}: not readable ({what}); run the study again") from error
 
 
 # --- what frames take ---
@@ -206,37 +185,32 @@ _TIMES = TypeAdapter(dict[str, _TimesOfMesh])
 
 
 def keep_told(directory: Path, plan: Mapping[str, Any], told: Mapping[str, Any]) -> None:
-    """Keep what a run says, with what it is made of and the files that say it too. Raises OSError."""
-    made = {name: _digest((directory / name).read_bytes()) for name in _TELLING}
-    kept = {"of": _made_of(directory, plan), "files": made, "told": told}
-    write_atomically(directory / TOLD, sealed(kept, TOLD))
+    """Keep what a run says, with a sum of what it is made of and the files that say it too. Raises OSError."""
+    write_atomically(directory / TOLD, json_text({"of": _made_of(directory, plan), "told": told}).encode())
 
 
 def read_told(directory: Path, plan: Mapping[str, Any]) -> dict[str, Any] | None:
     """What `keep_told` kept; None where a case, a failure, a time, a table or the report is another since."""
     try:
-        kept = unsealed((directory / TOLD).read_bytes(), TOLD, ToldShape)
-        made = {name: _digest((directory / name).read_bytes()) for name in _TELLING}
+        kept = parsed((directory / TOLD).read_bytes(), ToldShape)
+        return kept.told if kept.of == _made_of(directory, plan) else None
     except (OSError, ValueError):
         return None
-    same = (kept["of"], kept["files"]) == (_made_of(directory, plan), made)
-    told: dict[str, Any] = kept["told"]
-    return told if same else None
 
 
-_TELLING = (STUDY_FILE, METRICS_FILE, REPORT)
-_SEAL_BYTES = 100  # at the end of a case file, its own sum among them
+_SUM_BYTES = 100  # at the end of a case file, its own sum among them
 
 
 def _made_of(directory: Path, plan: Mapping[str, Any]) -> str:
-    """A sum of all that tables and report are made of: the plan, the sums of case files, failures and times."""
+    """A sum of the plan, the sums of case files, failures, times, tables and report."""
     found = hashlib.sha256(json_text([version("vdmbench"), plan]).encode())
     for case in plan["cases"]:
         with suppress(OSError), case_path(directory, case["hash"], case["label"]).open("rb") as file:
-            file.seek(-_SEAL_BYTES, os.SEEK_END)
+            file.seek(-_SUM_BYTES, os.SEEK_END)
             found.update(file.read())
         found.update(b"|")
-    for path in (directory / TIMES, *sorted((directory / "failed").glob("*.json"))):
+    others = [directory / name for name in (TIMES, STUDY_FILE, METRICS_FILE, REPORT)]
+    for path in (*others, *sorted((directory / "failed").glob("*.json"))):
         with suppress(OSError):
             found.update(path.name.encode() + path.read_bytes())
     return found.hexdigest()
@@ -247,7 +221,7 @@ def _made_of(directory: Path, plan: Mapping[str, Any]) -> str:
 
 def write_failure(path: Path, reason: Mapping[str, str], log: str) -> None:
     """Keep the reason and the log of a failed case beside the results."""
-    write_atomically(path, sealed(reason, path.name))
+    write_atomically(path, json_text(reason, indent=1).encode())
     write_atomically(path.with_suffix(".log"), log.encode("utf-8", "replace"))
 
 
@@ -255,10 +229,10 @@ def read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
     """Why a case failed. Raises StoreError."""
     path = failure_path(directory, case_hash, label)
     try:
-        record = unsealed(path.read_bytes(), path.name, FailureShape)
+        record = parsed(path.read_bytes(), FailureShape)
     except (IsADirectoryError, ValueError) as error:
         raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
-    return {**{key: record[key] for key in ("hash", "code", "message", "remedy")}, "label": label}
+    return record.model_dump() | {"label": label}
 
 
 def has_failed(directory: Path, case_hash: str, label: str = "") -> bool:

@@ -12,7 +12,7 @@ from uuid import uuid4
 
 import tomli_w
 
-from ..machine import LockedError, clear_abandoned, lock
+from ..machine import LockedError, clear_abandoned, lock, write_atomically
 from ..measures.case import Run
 from ..store.cases import told_run
 from ..store.hdf5 import StoreError
@@ -24,7 +24,6 @@ from ..store.run_directory import (
     keep_told,
     read_plan,
     refuse_foreign,
-    rewrite_plan,
     write_failure,
     write_plan,
 )
@@ -107,7 +106,9 @@ def run_plan(
         if not cases and not _decides(plan) and (done := _as_told(plan, texts)) is not None:
             return done, plan.directory / REPORT
         planned = summary(plan) | {"resumed": _resumed(plan, cases)}
-        planned = write_plan(plan.directory, planned, texts)
+        for name, text in texts.items():
+            write_atomically(plan.directory / name, text)
+        write_plan(plan.directory, planned)
         began = time.perf_counter()
         used = 0.0
         try:
@@ -124,7 +125,7 @@ def run_plan(
                 "processor_seconds": used,
                 "jobs": options.jobs,
             }
-            rewrite_plan(plan.directory, planned)
+            write_plan(plan.directory, planned)
             keep_told(plan.directory, planned, run.told or {})
         return dataclasses.replace(run, plan=planned), report
 

@@ -20,7 +20,7 @@ from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_
 from tests.report.runs import icosphere
 from vdmbench.measures.metrics import METRICS
 from vdmbench.store import cases as store
-from vdmbench.store.run_directory import rewrite_plan
+from vdmbench.store.run_directory import write_plan
 
 from . import processes
 
@@ -62,7 +62,7 @@ def test_a_run_says_what_it_took(copy: Path) -> None:
     assert f"took {spent['seconds']:.0f} s with {spent['jobs']} job" in said
     assert spent["processor_seconds"] > 0.1, "what the workers had counts"
     plan["taken"] = {"seconds": "<b>", "processor_seconds": None, "jobs": None}
-    rewrite_plan(copy / RUN, plan)
+    write_plan(copy / RUN, plan)
     result = vdmbench("report", RUN, cwd=copy)
     assert (result.returncode, "took" in result.stdout, result.stderr) == (0, False, "")
 

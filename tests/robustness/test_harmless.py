@@ -13,7 +13,7 @@ import pytest
 from tests.command import SCRIPT, vdmbench_process
 from vdmbench.cli.main import _complain_of
 from vdmbench.machine import harmless
-from vdmbench.store.run_directory import case_path, failure_path, read_plan, rewrite_plan, write_failure
+from vdmbench.store.run_directory import case_path, failure_path, read_plan, write_failure, write_plan
 
 from .processes import RUN
 
@@ -34,7 +34,7 @@ def test_copied_results_do_not_steer_the_terminal(
     attack = "\x1b]0;owned\x07\x9b2J"
     for case in plan["cases"]:
         case["label"] += attack
-    rewrite_plan(directory, plan)
+    write_plan(directory, plan)
     reason = dict.fromkeys(("hash", "label", "code", "message", "remedy"), attack)
     lost = plan["cases"][0]["hash"]
     case_path(directory, lost).unlink()

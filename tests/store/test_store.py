@@ -20,6 +20,7 @@ from tests.command import strict_json
 from tests.example_case import N_STEPS, example_case
 from vdmbench.measures import uncertainty
 from vdmbench.measures.case import Run
+from vdmbench.measures.frame import frame
 from vdmbench.store import cases as store
 from vdmbench.store import hdf5
 from vdmbench.store.hdf5 import StoreError
@@ -254,12 +255,9 @@ def _run_directory(directory: Path) -> None:
         {"hash": h, "label": f"case {h[:2]}", "swept": SWEPT, "swept_units": {KEY: "1"}}
         for h in (done.hash, failed, "c3" * 32)
     ]
-    study = {"name": "s", "title": "t", "models": ["vdm-paper"], "reference": None}
-    write_plan(
-        directory,
-        {"study": study, "cases": planned},
-        {STUDY: b"[study]", RESOLVED: tomli_w.dumps(resolved(done.study)).encode()},
-    )
+    write_plan(directory, {"study": {"name": "s"}, "cases": planned})
+    (directory / STUDY).write_text("[study]")
+    (directory / RESOLVED).write_text(tomli_w.dumps(resolved(done.study)))
 
 
 def test_run_directory(tmp_path: Path) -> None:
@@ -331,3 +329,24 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path) -> None:
         signal.signal(signal.SIGXFSZ, handler)
     assert caught.value.filename == str(tmp_path / "case.vtkhdf")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_case_that_would_not_be_read_is_not_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store, "MAX_BYTES", store._TEXTS_BYTES + 100)
+    with pytest.raises(ValueError, match="more than a case file holds; use fewer load steps"):
+        store.write_case(tmp_path / "case.vtkhdf", example_case())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_cell_of_the_table_is_a_formula() -> None:
+    attack = '=HYPERLINK("http://example.org")'
+    case = example_case()
+    series = dataclasses.replace(case.metrics["vdm-paper"]["max_nodal_error"], unit=attack)
+    models, metrics = {attack: case.models["vdm-paper"]}, {attack: {attack: series}}
+    case = dataclasses.replace(case, swept={attack: attack}, models=models, metrics=metrics)
+    rows = list(csv.reader(store.metrics_csv(frame(Run(case.study, "", [case], [], [], {}))).splitlines()))
+    cells = [cell for row in rows for cell in row if "HYPERLINK" in cell]
+    assert len(cells) == 1 + 4 * 3, "the heading; value, model, metric and unit of three steps"
+    assert all(cell == f"'{attack}" for cell in cells)
