@@ -28,7 +28,7 @@ from .worker import Said
 INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
 LOOPBACK = "--host 127.0.0.1 --dashboard-address 127.0.0.1:0"  # for whoever starts a part of a cluster
 _POLL = 0.2  # s
-_WITHOUT_WORKERS = 60.0  # s that a scheduler may have no worker at all
+_WITHOUT_WORKERS = 60.0  # s that a scheduler may have no worker when a run begins
 
 
 class AddressError(ValueError):
@@ -49,18 +49,14 @@ class Cluster:
     """
 
     def __init__(self, client: Any, address: str, scratch: Path, memory: int | None) -> None:
-        self.client, self.address, self._scratch, self._memory = client, address, scratch, memory
+        self._client, self._address, self._scratch, self._memory = client, address, scratch, memory
         self._executor = client.get_executor(pure=False)
 
     @property
     def count(self) -> int:
         """Twice the threads of the workers, so that none waits for its next task. Raises ClusterError."""
-        self.wait_for_workers()
-        return 2 * self._threads()
-
-    def _threads(self) -> int:
         try:
-            return sum(self.client.nthreads().values())
+            return 2 * max(1, sum(self._client.nthreads().values()))
         except (OSError, ValueError) as error:
             raise self._lost() from error
 
@@ -78,37 +74,14 @@ class Cluster:
         return future
 
     def failure(self, error: BaseException, log: str) -> Said:
-        """See `Pool`. Raises ClusterError where the scheduler is lost, or a worker refuses."""
+        """See `Pool`. Raises ClusterError where the scheduler is lost, or a worker cannot do the task."""
         if isinstance(error, CancelledError):
             raise self._lost()
-        if isinstance(error, RefusalError):
-            raise ClusterError(f"a worker of {self.address} {error}")
         if type(error).__name__ == "KilledWorker":
             remedy = "use a coarser mesh, or workers with more memory; see the cluster's own logs"
             return Said("error", 0.0, "its worker was lost several times while it was at work", remedy, log)
-        reason = f"no worker of the cluster could run it: {error!r:.200}"
-        return Said("error", 0.0, reason, "see the logs of the cluster's workers", log)
-
-    def require_fit(self) -> None:
-        """Refuse workers of other versions, and those that do not see the run directory."""
-        request = json.dumps({"scratch": str(self._scratch), "versions": _versions()})
-        found = self.client.run(refusal, request, on_error="return")
-        for worker, answer in sorted(found.items()):
-            if isinstance(answer, Exception):
-                answer = f"cannot run cases ({answer}): install vdmbench {version('vdmbench')} there"
-            if answer:
-                raise ClusterError(f"worker {worker} {answer}")
-
-    def wait_for_workers(self) -> None:
-        """Return once there is a worker. Raises ClusterError where none comes in a minute."""
-        end = time.monotonic() + _WITHOUT_WORKERS
-        while not self._threads():
-            if time.monotonic() > end:
-                where = f" {LOOPBACK}" if is_loopback(urlsplit(self.address).hostname or "") else ""
-                raise ClusterError(
-                    f"{self.address} has no workers: start some with: dask worker {self.address}{where}"
-                )
-            time.sleep(_POLL)
+        why = error if isinstance(error, RefusalError) else f"cannot run a task: {error!r:.200}"
+        raise ClusterError(f"a worker of {self._address} {why}")
 
     def close(self) -> None:
         """Cancel what waits; what is at work stops when the scratch directory is gone."""
@@ -118,7 +91,7 @@ class Cluster:
 
     def _lost(self) -> ClusterError:
         return ClusterError(
-            f"the scheduler at {self.address} is gone; the same command goes on once it is back"
+            f"the scheduler at {self._address} is gone; the same command goes on once it is back"
         )
 
 
@@ -133,24 +106,9 @@ def cluster_pool(address: str, directory: Path, memory: int | None, *, insecure:
     ImportError
         Dask is not installed.
     ClusterError
-        nobody answers in the time that Dask's configuration allows (distributed.comm.timeouts.connect), no worker
-        is there, or one of them does not fit.
+        nobody answers in the time that Dask's configuration allows (distributed.comm.timeouts.connect), or there is
+        no worker.
     """
-    scratch = (directory / f".cluster-{uuid4().hex}").absolute()
-    with _connected(address, insecure=insecure) as (client, full):
-        cluster = Cluster(client, full, scratch, memory)
-        cluster.wait_for_workers()
-        scratch.mkdir(parents=True)
-        try:
-            cluster.require_fit()
-            yield cluster
-        finally:
-            cluster.close()
-
-
-@contextmanager
-def _connected(address: str, *, insecure: bool) -> Iterator[tuple[Any, str]]:
-    """A client of the scheduler at `address`, and its full address."""
     address = checked_address(address, insecure=insecure)
     try:
         import distributed
@@ -158,17 +116,28 @@ def _connected(address: str, *, insecure: bool) -> Iterator[tuple[Any, str]]:
         raise ImportError(f"--scheduler needs Dask, which is not installed: {INSTALL}") from None
     for name in ("distributed", "tornado.application"):  # what matters of these is said by an error
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    if address.startswith("tls:"):
+    safe, where = address.startswith("tls:"), f" {LOOPBACK}" if is_loopback(address) else ""
+    if safe:
         _require_certificates(distributed.Security(), address)  # type: ignore[no-untyped-call]
     try:
         client = distributed.Client(address, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, TimeoutError):
-        trusting = " that trusts this certificate" if address.startswith("tls:") else ""
-        where = f" {LOOPBACK}" if is_loopback(urlsplit(address).hostname or "") else ""
+        trusting = " that trusts this certificate" if safe else ""
         message = f"no scheduler{trusting} answers at {address}; start one with: dask scheduler{where}"
         raise ClusterError(message) from None
     with client:
-        yield client, address
+        try:
+            client.wait_for_workers(1, timeout=_WITHOUT_WORKERS)
+        except TimeoutError:
+            message = f"{address} has no workers: start some with: dask worker {address}{where}"
+            raise ClusterError(message) from None
+        scratch = (directory / f".cluster-{uuid4().hex}").absolute()
+        scratch.mkdir(parents=True)
+        cluster = Cluster(client, address, scratch, memory)
+        try:
+            yield cluster
+        finally:
+            cluster.close()
 
 
 def _require_certificates(security: Any, address: str) -> None:
@@ -196,7 +165,7 @@ def checked_address(address: str, *, insecure: bool) -> str:
         raise AddressError(
             f"{address!r} is no scheduler's address: write tls://HOST:PORT or tcp://127.0.0.1:PORT"
         )
-    if parts.scheme == "tcp" and not insecure and not is_loopback(host):
+    if parts.scheme == "tcp" and not insecure and not is_loopback(full):
         raise AddressError(
             f"{full}: without TLS anyone on the network can run programs in your name; use tls://, "
             "or --insecure-scheduler where you trust the whole network"
@@ -204,8 +173,9 @@ def checked_address(address: str, *, insecure: bool) -> str:
     return full
 
 
-def is_loopback(host: str) -> bool:
-    """Whether a host's name or address is one that only this machine reaches."""
+def is_loopback(address: str) -> bool:
+    """Whether only this machine reaches the host of an address, as "tcp://localhost:8786"."""
+    host = urlsplit(address).hostname or ""
     with suppress(ValueError):
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     return False
