@@ -7,6 +7,7 @@ nearest point, and how far that is, is told. Nothing is extrapolated further tha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from solver_common.arrays import Array
 from ..body.mesh import Mesh
 from ..body.read_apart import point_fields_of
 from ..study.errors import InputError, MeshError
-from ..study.measured import AXES, DEFORMED, DISPLACEMENT, CsvTable, MeasuredFileError, read_csv
+from ..study.measured import AXES, DEFORMED, DISPLACEMENT, Layouts, MeasuredFileError, read_table
 
 NAMES = (
     "displacement",
@@ -30,6 +31,12 @@ POSITIONS = ("position", "Position", "positions")
 EXACT = 1e-6  # of the mean edge: nodes so near are one
 MOST_OFF = 0.5  # of the mean edge
 MOST_BYTES = 200_000_000
+_TABLES: Layouts = (
+    ("displacements at places", (*AXES, *DISPLACEMENT), ("point",)),
+    ("positions at places", (*AXES, *DEFORMED), ("point",)),
+    ("displacements of nodes", ("node", *DISPLACEMENT), ("point",)),
+    ("positions of nodes", ("node", *DEFORMED), ("point",)),
+)
 MOST_CSV_BYTES = 20_000_000  # a text takes some fifty times its size in memory
 
 
@@ -87,19 +94,24 @@ def read_foreign(path: Path, mesh: Mesh, array: str | None = None) -> Foreign:
 
 
 def _of_csv(path: Path, mesh: Mesh) -> Foreign:
-    table = CsvTable(path.name, read_csv(path, MOST_CSV_BYTES))
-    values = table.columns(DEFORMED if table.is_surface else DISPLACEMENT)
-    if "node" not in table.keys:
-        rest = table.columns(AXES)
-        return _mapped(path, rest, values - rest if table.is_surface else values, mesh)
-    (nodes,) = table.columns(("node",)).T
+    _, rows = read_table(path, _TABLES, MOST_CSV_BYTES)
+    deformed, by_node = DEFORMED[0] in rows[0], "node" in rows[0]
+
+    def columns(keys: Sequence[str]) -> Array:
+        return np.array([[row[key] for key in keys] for row in rows], dtype=float)
+
+    values = columns(DEFORMED if deformed else DISPLACEMENT)
+    if not by_node:
+        rest = columns(AXES)
+        return _mapped(path, rest, values - rest if deformed else values, mesh)
+    (nodes,) = columns(("node",)).T
     count = len(mesh.surface_points)
     if not np.array_equal(np.sort(nodes), np.arange(count)):
         raise ForeignResultError(
             f"{path}: its column node is not each of 0 to {count - 1} once, which are the mesh's surface nodes"
         )
     ordered = values[np.argsort(nodes)]
-    return Foreign(ordered - mesh.surface_points if table.is_surface else ordered, 1.0, 0.0, 0.0)
+    return Foreign(ordered - mesh.surface_points if deformed else ordered, 1.0, 0.0, 0.0)
 
 
 def _of_vtk(path: Path, mesh: Mesh, array: str | None) -> Foreign:

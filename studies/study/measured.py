@@ -6,13 +6,11 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from .kinds import (
@@ -34,11 +32,18 @@ MOST_ROWS = 10_000
 AXES = ("x", "y", "z")
 DISPLACEMENT = tuple(f"displacement_{axis}" for axis in AXES)
 DEFORMED = tuple(f"deformed_{axis}" for axis in AXES)
-FORCES = ("depth", "force")
-_LENGTHS = {*AXES, "depth", *DISPLACEMENT, *DEFORMED, "uncertainty"}
-_HEADER = re.compile(r"(?:(?P<other>[A-Za-z0-9][\w-]*)\.)?(?P<key>\w+)(?:\s*\[(?P<unit>[^\]]*)\])?")
+_SI = {"force": "N", "load_factor": "1", "node": "1", "point": ""}  # of columns; of the others metres
+_HEADER = re.compile(r"((?:(?P<other>[A-Za-z0-9][\w-]*)\.)?(?P<key>\w+))(?:\s*\[(?P<unit>[^\]]*)\])?")
 
 Row = dict[str, Any]
+Layouts = tuple[
+    tuple[str, tuple[str, ...], tuple[str, ...]], ...
+]  # a table's name, its columns: always, sometimes
+MEASURED: Layouts = (
+    ("forces", ("depth", "force"), ("uncertainty",)),
+    ("surface", DEFORMED, ()),
+    ("points", AXES, (*DISPLACEMENT, "point", "uncertainty", "load_factor")),
+)
 
 
 class MeasuredFileError(ValueError):
@@ -51,20 +56,52 @@ def read_measured(path: Path) -> dict[str, Any]:
 
     A row has `point` (its name), the rest position `x`, `y`, `z`, some of `displacement_x`, `displacement_y`,
     `displacement_z`, and where wanted `uncertainty` and `load_factor`. A column `NAME.displacement_x` is what
-    another program, NAME, computed there. A row of forces has `depth`, `force` and `uncertainty`, a force. A header
-    tells its unit in brackets, as in `x [mm]`; without one it is in metres or newtons. Lines that begin with # are
-    passed over.
+    another program, NAME, computed there. A row of forces has `depth`, `force` and `uncertainty`, a force.
+
+    Raises
+    ------
+    MeasuredFileError
+        no such table.
+    """
+    kind, rows = read_table(path, MEASURED)
+    if len(rows) > MOST_ROWS:
+        raise MeasuredFileError(
+            f"{path.name}:{rows[MOST_ROWS]['line']}: has more than {MOST_ROWS:,} rows; keep fewer points"
+        )
+    if kind == "surface":
+        return {"surface": [[row[key] for key in DEFORMED] for row in rows]}
+    return {
+        kind: [_point(row, path.name) for row in rows] if kind == "points" else [dict(row) for row in rows]
+    }
+
+
+def _point(row: Row, file: str) -> Row:
+    """A row as one of a study's `points`; of a cell without a number there is no key."""
+    point: Row = {}
+    for key, value in row.items():
+        other, _, inner = key.rpartition(".")
+        if other:
+            point.setdefault("others", {}).setdefault(other, {})[inner] = value
+        else:
+            point["name" if key == "point" else key] = value
+    if {*DISPLACEMENT}.isdisjoint(point):
+        raise MeasuredFileError(
+            f"{file}:{row['line']}: has no displacement: none of {', '.join(DISPLACEMENT)}"
+        )
+    return point
+
+
+def read_table(path: Path, layouts: Layouts, most: int = MOST_BYTES) -> tuple[str, tuple[Row, ...]]:
+    """Which of several tables a CSV file holds, and its rows: SI values by column, and `line`, that of the file.
+
+    A header tells its unit in brackets, as in `x [mm]`; without one it is in metres or newtons. Lines that begin
+    with # are passed over.
 
     Raises
     ------
     MeasuredFileError
         no such table: an unknown or missing column, a wrong unit, a cell that is no finite number.
     """
-    return _parsed(path, read_csv(path))
-
-
-def read_csv(path: Path, most: int = MOST_BYTES) -> bytes:
-    """The bytes of a table, of which there may be so many. Raises MeasuredFileError."""
     try:
         if not path.is_file():  # a FIFO would be waited for, a device read without end
             raise MeasuredFileError(f"{path.name} cannot be read: no such file")
@@ -74,166 +111,96 @@ def read_csv(path: Path, most: int = MOST_BYTES) -> bytes:
         raise MeasuredFileError(f"{path.name} cannot be read: {error.strerror}") from None
     if len(data) > most:
         raise MeasuredFileError(f"{path.name} is larger than {most // 1_000_000} MB; keep fewer points")
-    return data
+    return _parsed(path.name, data, layouts)
 
 
 @lru_cache(maxsize=16)  # each case of a sweep validates the study anew
-def _parsed(path: Path, data: bytes) -> dict[str, Any]:
-    table = CsvTable(path.name, data)
-    table.check_measured()
-    if table.is_force:
-        return {"forces": table.forces()}
-    return {"surface": table.columns(DEFORMED).tolist()} if table.is_surface else {"points": table.points()}
-
-
-class CsvTable:
-    """A header and its rows, each with its line in the file. Raises MeasuredFileError for any other text."""
-
-    def __init__(self, name: str, data: bytes) -> None:
-        self._name = name
-        try:
-            rows = _rows(data.decode("utf-8-sig"))
-        except UnicodeDecodeError:
-            raise self.error(1, "is not UTF-8 text; save the file in UTF-8") from None
-        except csv.Error as error:
-            raise self.error(1, f"is no table: {error}") from None
+def _parsed(name: str, data: bytes, layouts: Layouts) -> tuple[str, tuple[Row, ...]]:
+    line, kind = 1, ""
+    needed: tuple[str, ...] = ()
+    columns: dict[str, tuple[str, str]] = {}
+    rows: list[Row] = []
+    try:
+        for line, cells in _lines(data.decode("utf-8-sig")):
+            if not kind:
+                kind, needed, columns = _header(cells, layouts)
+            else:
+                rows.append({"line": line, **_row(cells, columns, needed)})
         if not rows:
-            raise self.error(1, "holds no table")
-        self._header_line, header = rows[0]
-        self._rows = rows[1:]
-        self._forces = any(title.strip().partition("[")[0].strip() == "force" for title in header)
-        self._columns = [self._column(title) for title in header]
-        keys = [key for key, _ in self._columns]
-        for key in keys:
-            if keys.count(key) > 1:
-                raise self.error(self._header_line, f"has two columns {shown(key)}")
-        self.keys = keys
-        self.is_surface = not {*DEFORMED}.isdisjoint(keys)
-        for some, others in ((("node",), AXES), (DEFORMED, DISPLACEMENT)):
-            both = [next((key for key in kind if key in keys), None) for kind in (some, others)]
-            if None not in both:
-                raise self.error(
-                    self._header_line,
-                    f"has {both[0]} and {both[1]}, which say the same twice; keep one of them",
-                )
-        self.is_force = not {*FORCES}.isdisjoint(keys)
-        if not self._rows:
-            raise self.error(self._header_line, "has a header and no row below it")
+            raise QuantityError("has a header and no row below it" if kind else "holds no table")
+    except UnicodeDecodeError:
+        raise MeasuredFileError(f"{name}:1: is not UTF-8 text; save the file in UTF-8") from None
+    except csv.Error as error:
+        raise MeasuredFileError(f"{name}:{line}: is no table: {error}") from None
+    except QuantityError as error:
+        raise MeasuredFileError(f"{name}:{line}: {error}") from None
+    return kind, tuple(rows)
 
-    def check_measured(self) -> None:
-        """Whether it can be a measured table. Raises MeasuredFileError."""
-        keys = self.keys
-        if self.is_force and (more := [key for key in keys if key not in (*FORCES, "uncertainty")]):
-            raise self.error(
-                self._header_line,
-                f"measured forces have the columns depth, force and uncertainty only, not {shown(more[0])}",
+
+def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
+    """(line, cells) of the header and of each row."""
+    for line, told in enumerate(io.StringIO(text, newline=None).read().split("\n"), start=1):
+        if told.strip() and not told.startswith("#"):
+            yield line, next(csv.reader([told]))
+
+
+def _header(titles: list[str], layouts: Layouts) -> tuple[str, tuple[str, ...], dict[str, tuple[str, str]]]:
+    """The table that a header is of, its columns that every row has, and unit and SI unit of each column."""
+    parsed = [(title.strip(), _HEADER.fullmatch(title.strip())) for title in titles]
+    keys = {match["key"] for _, match in parsed if match}
+    kind, needed, others = max(layouts, key=lambda layout: len(keys & {*layout[1], *layout[2]}))
+    columns: dict[str, tuple[str, str]] = {}
+    for title, match in parsed:
+        key, inner = (match[1], match["key"]) if match else ("", "")
+        known = set(needed + others) & set(DISPLACEMENT) if match and match["other"] else {*needed, *others}
+        if inner not in known:
+            raise QuantityError(
+                f"unknown column {shown(title)}; a table of {kind} has the columns {', '.join(needed + others)}"
             )
-        wanted = FORCES if self.is_force else DEFORMED if self.is_surface else AXES
-        for key in wanted:
-            if key not in keys:
-                raise self.error(self._header_line, f"has no column {shown(key)}")
-        if wanted is AXES and {*DISPLACEMENT}.isdisjoint(keys):
-            raise self.error(self._header_line, f"has none of the columns {', '.join(DISPLACEMENT)}")
-        if self.is_surface and len(keys) > len(DEFORMED):
-            raise self.error(
-                self._header_line, f"a measured surface has the columns {', '.join(DEFORMED)} only"
-            )
-        if "node" in keys:
-            raise self.error(self._header_line, "a measured table has places, not nodes")
-        if len(self._rows) > MOST_ROWS:
-            raise self.error(self._rows[MOST_ROWS][0], f"has more than {MOST_ROWS:,} rows; keep fewer points")
-
-    def forces(self) -> list[Row]:
-        """The rows as a study's `forces`."""
-        return [{"line": line, **cells} for line, cells in self._cells(FORCES)]
-
-    def error(self, line: int, text: str) -> MeasuredFileError:
-        return MeasuredFileError(f"{self._name}:{line}: {text}")
-
-    def points(self) -> list[Row]:
-        """The rows as a study's `points`; of a cell without a number there is no key."""
-        found = []
-        for line, cells in self._cells(AXES):
-            point: Row = {"line": line}
-            for key, value in cells.items():
-                other, _, inner = key.rpartition(".")
-                if other:
-                    point.setdefault("others", {}).setdefault(other, {})[inner] = value
-                else:
-                    point["name" if key == "point" else key] = value
-            if {*DISPLACEMENT}.isdisjoint(point):
-                raise self.error(line, "has no displacement")
-            found.append(point)
-        return found
-
-    def columns(self, keys: tuple[str, ...]) -> NDArray[np.float64]:
-        """(rows, keys) numbers of some columns, each complete [m, or as they are]."""
-        for key in keys:
-            if key not in self.keys:
-                raise self.error(self._header_line, f"has no column {shown(key)}")
-        return np.array([[cells[key] for key in keys] for _, cells in self._cells(keys)], dtype=float)
-
-    def _cells(self, needed: tuple[str, ...]) -> list[tuple[int, Row]]:
-        """(line, values by key) of each row, which has a value of each key that is needed."""
-        found = []
-        for line, row in self._rows:
-            if len(row) != len(self._columns):
-                raise self.error(line, f"has {len(row)} cells, the header {len(self._columns)}")
-            cells: Row = {}
-            for (key, unit), cell in zip(self._columns, row, strict=True):
-                if not cell.strip():
-                    continue
-                cells[key] = cell.strip() if key == "point" else self._number(line, key, unit, cell.strip())
-            if missing := [key for key in needed if key not in cells]:
-                raise self.error(line, f"has no {missing[0]}")
-            found.append((line, cells))
-        return found
-
-    def _number(self, line: int, key: str, unit: str, cell: str) -> float:
+        if key in columns:
+            raise QuantityError(f"has two columns {shown(key)}")
+        si = "N" if kind == "forces" and inner == "uncertainty" else _SI.get(inner, "m")
+        unit = (match and match["unit"]) or ""
         try:
-            plain = float(cell)
-        except ValueError:
-            raise self.error(line, f"{key}: {shown(cell)} is no number") from None
-        if not math.isfinite(plain):
-            raise self.error(line, f"{key}: must be a finite number")
-        if key == "uncertainty" and plain < 0:
-            raise self.error(line, f"{key}: must be positive or zero, not {plain:g}")
-        try:
-            return to_si(f"{cell} {unit}" if unit else plain, self._si(key) or "1")
+            if unit and si in ("", "1"):
+                raise QuantityError("has no unit")
+            if unit:
+                to_si(f"1 {unit}", si)
         except QuantityError as error:
-            raise self.error(line, f"{key}: {error}") from None
-
-    def _si(self, key: str) -> str:
-        """SI unit of a column, "" of one without."""
-        if key == "force" or (key == "uncertainty" and self._forces):
-            return "N"
-        return "m" if key.rpartition(".")[2] in _LENGTHS else ""
-
-    def _column(self, title: str) -> tuple[str, str]:
-        """(key, unit) of a column."""
-        match = _HEADER.fullmatch(title.strip())
-        other, key, unit = match.group("other", "key", "unit") if match else (None, "", None)
-        known = {*DISPLACEMENT} if other else _LENGTHS | {"point", "load_factor", "node", "force"}
-        if key not in known:
-            told = ", ".join(
-                ("point", *AXES, *DISPLACEMENT, "uncertainty", "load_factor", *DEFORMED, *FORCES)
-            )
-            raise self.error(self._header_line, f"unknown column {shown(title.strip())}; known: {told}")
-        if unit is not None:
-            try:
-                if not self._si(key):
-                    raise QuantityError("has no unit")
-                to_si(f"1 {unit}", self._si(key))
-            except QuantityError as error:
-                raise self.error(self._header_line, f"column {key}: {error}") from None
-        return f"{other}.{key}" if other else key, unit or ""
+            raise QuantityError(f"column {key}: {error}") from None
+        columns[key] = unit, si
+    for key in needed:
+        if key not in columns:
+            raise QuantityError(f"has no column {shown(key)}")
+    return kind, needed, columns
 
 
-def _rows(text: str) -> list[tuple[int, list[str]]]:
-    """(line, cells) of each row, the header first."""
-    lines = io.StringIO(text, newline=None).read().split("\n")
-    kept = [(k, line) for k, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
-    return [(k, next(csv.reader([line]))) for k, line in kept]
+def _row(cells: list[str], columns: Mapping[str, tuple[str, str]], needed: tuple[str, ...]) -> Row:
+    """Values by column, in SI; of an empty cell none."""
+    if len(cells) != len(columns):
+        raise QuantityError(f"has {len(cells)} cells, the header {len(columns)}")
+    found: Row = {}
+    for (key, (unit, si)), cell in zip(columns.items(), map(str.strip, cells), strict=True):
+        try:
+            if cell:
+                found[key] = _number(cell, unit, si) if si else cell
+        except QuantityError as error:
+            raise QuantityError(f"{key}: {error}") from None
+        if key == "uncertainty" and found.get(key, 0.0) < 0:
+            raise QuantityError(f"{key}: must be positive or zero, not {cell}")
+        if key in needed and key not in found:
+            raise QuantityError(f"has no {key}")
+    return found
+
+
+def _number(cell: str, unit: str, si: str) -> float:
+    try:
+        plain = float(cell)
+    except ValueError:
+        raise QuantityError(f"{shown(cell)} is no number") from None
+    if not math.isfinite(plain):
+        raise QuantityError("must be a finite number")
+    return to_si(f"{cell} {unit}" if unit else plain, si)
 
 
 # --- the table of a study ---
