@@ -91,10 +91,13 @@ def test_a_node_without_a_point_takes_the_nearest_and_its_distance_is_told(tmp_p
             "a.csv:2: displacement_y: must be",
         ),
         ("node,displacement_x,displacement_y,displacement_z\n0.5,0,0,0\n", "is not each of 0 to 161 once"),
-        (f"node,{PLACES},{MOVED}\n0,0,0,1,0,0,0\n", "a.csv:1: has node and x, which say the same twice"),
+        (
+            f"node,{PLACES},{MOVED}\n0,0,0,1,0,0,0\n",
+            "a.csv:1: unknown column 'node'; a table of displacements at places has",
+        ),
         (
             f"{PLACES},{MOVED},deformed_x\n0,0,1,0,0,0,0\n",
-            "a.csv:1: has deformed_x and displacement_x, which",
+            "a.csv:1: unknown column 'deformed_x'; a table of displacements at places has",
         ),
         (f"{PLACES},{MOVED}\n0,0,1,0,0,{'0' * 200_000}\n", "a.csv:1: is no table: field larger than"),
     ],
