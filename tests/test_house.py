@@ -318,3 +318,18 @@ def test_what_is_required_is_pinned() -> None:
     wanted = re.findall(r'^ +"([A-Za-z0-9-]+)>=', (ROOT / "pyproject.toml").read_text(), flags=re.MULTILINE)
     assert len(wanted) > 15
     assert {name.lower() for name in wanted} <= normal
+
+
+def test_only_dates_that_are_shown_come_from_the_clock() -> None:
+    """No module asks a clock that can jump, nor the age of a file, but for the date of a result or a baseline."""
+    asks = re.compile(r"\btime\.(time|ctime|localtime|gmtime)(_ns)?\(|st_[mca]time|getmtime|\.now\(|today\(")
+    found = {
+        str(path.relative_to(ROOT)): asks.findall(path.read_text())
+        for package in ("studies", "vdm", "fem_reference", "solver_common")
+        for path in (ROOT / package).rglob("*.py")
+        if asks.search(path.read_text())
+    }
+    assert {name: len(hits) for name, hits in found.items()} == {
+        "studies/work/provenance.py": 1,
+        "studies/gate.py": 1,
+    }

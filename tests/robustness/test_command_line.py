@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import meshio
@@ -344,8 +343,7 @@ def test_results_that_cannot_be_written(tmp_path: Path) -> None:
     assert result.stderr == "vdmbench: results: is not a directory; remove it, or choose another\n"
 
 
-@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
-def test_an_interrupted_run_goes_on(tmp_path: Path, number: signal.Signals) -> None:
+def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
     write_study(
         tmp_path,
         a=("[load]", '[sweep]\n"tissue.poisson_ratio" = { start = 0.3, stop = 0.49, num = 6 }\n[load]'),
@@ -360,7 +358,7 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, number: signal.Signals) -> N
     )
     cases = tmp_path / RUN / "cases"
     wait_for(lambda: list(cases.glob("*.vtkhdf")))
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)
     _, stderr = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "interrupted" in stderr
@@ -373,10 +371,7 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, number: signal.Signals) -> N
     assert result.stderr.count("done poisson_ratio") == 6 - done
 
 
-@pytest.mark.parametrize(("moment", "number"), [(0.05, signal.SIGINT), (0.3, signal.SIGHUP)])
-def test_ctrl_c_and_the_end_of_a_terminal_while_libraries_load(
-    tmp_path: Path, moment: float, number: signal.Signals
-) -> None:
+def test_the_end_of_a_terminal_while_libraries_load(tmp_path: Path) -> None:
     """A terminal sends it to all processes of a run; only the runner answers."""
     write_study(tmp_path)
     process = subprocess.Popen(
@@ -389,8 +384,7 @@ def test_ctrl_c_and_the_end_of_a_terminal_while_libraries_load(
         preexec_fn=heed_ctrl_c,
     )
     wait_for(lambda: processes.children(process.pid))  # the server of workers
-    time.sleep(moment)
-    os.killpg(process.pid, number)
+    os.killpg(process.pid, signal.SIGHUP)
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in output
@@ -411,13 +405,7 @@ def interruptible(program: str, directory: Path) -> subprocess.CompletedProcess[
 
 @pytest.mark.parametrize(
     ("module", "error"),
-    [
-        ("argparse", "SyntaxError"),
-        ("vdmbench.cli.output", "KeyboardInterrupt"),
-        ("pydantic", "ImportError"),
-        ("numpy", "SyntaxError"),
-        ("numpy", "KeyboardInterrupt"),
-    ],
+    [("argparse", "SyntaxError"), ("numpy", "ImportError")],
 )
 def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
     """Whatever it comes out as: Python makes another error of it where it falls into the reading of a module."""
@@ -438,8 +426,7 @@ def test_ctrl_c_in_an_import(tmp_path: Path, module: str, error: str) -> None:
     )
     result = interruptible(program, tmp_path)
     assert result.returncode == 130, result.stderr
-    early = module in ("argparse", "vdmbench.cli.output")
-    what = "nothing was begun" if early else "the same command starts anew"
+    what = "nothing was begun" if module == "argparse" else "the same command starts anew"
     assert result.stderr == f"vdmbench: interrupted; {what}\n"
 
 

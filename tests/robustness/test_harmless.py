@@ -24,10 +24,7 @@ def test_control_characters_become_escapes() -> None:
     )
 
 
-@pytest.mark.parametrize("verb", ["report", "gate"])
-def test_copied_results_do_not_steer_the_terminal(
-    undisturbed: tuple[Path, float], tmp_path: Path, verb: str
-) -> None:
+def test_copied_results_do_not_steer_the_terminal(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
     shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True)
     directory = tmp_path / RUN
     plan = read_plan(directory)
@@ -39,26 +36,16 @@ def test_copied_results_do_not_steer_the_terminal(
     lost = plan["cases"][0]["hash"]
     case_path(directory, lost).unlink()
     write_failure(failure_path(directory, lost), {**reason, "hash": lost}, attack)
-    said = vdmbench_process(verb, RUN, cwd=tmp_path)
+    said = vdmbench_process("report", RUN, cwd=tmp_path)
     text = said.stdout + said.stderr
-    assert verb == "gate" or "\\x1b]0;owned" in text, "it is told, harmlessly"
+    assert "\\x1b]0;owned" in text, "it is told, harmlessly"
     assert not {"\x1b", "\x07", "\x9b"} & set(text)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("check", "x\x1b[2J.toml"),
-        ("report", "x\x1b[2J"),
-        ("list", "--x\x1b[2J"),
-    ],
-)
-def test_no_argument_steers_the_terminal_that_errors_go_to(
-    tmp_path: Path, arguments: tuple[str, ...]
-) -> None:
+def test_no_argument_steers_the_terminal_that_errors_go_to(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     found = subprocess.run(
-        [SCRIPT, *arguments], cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=theirs, check=False
+        [SCRIPT, "report", "x\x1b[2J"], cwd=tmp_path, stdin=subprocess.DEVNULL, stderr=theirs, check=False
     )
     os.close(theirs)
     said = os.read(ours, 1 << 16)

@@ -11,8 +11,6 @@ import pytest
 
 from tests.command import SCRIPT, vdmbench, write_study
 
-from .processes import RUN
-
 LABEL = "größe ± λ"
 NOTICE = "vdmbench: standard output: No space left on device; what was to be shown there is incomplete\n"
 
@@ -42,17 +40,14 @@ def _shell(
     )
 
 
-PLAN, HELP, WRONG = ("plan small.toml", 0), ("--help", 0), ("check none.toml", 2)
+HELP, WRONG = ("--help", 0), ("check none.toml", 2)
 
 
 @pytest.mark.parametrize(
     ("command", "code", "redirections"),
     [
-        (*PLAN, "| true"),
-        (*PLAN, ">/dev/full"),
         (*HELP, ">&-"),
         (*WRONG, "2>/dev/full"),
-        (*WRONG, "2>&-"),
         (*WRONG, "<&- >&- 2>&-"),
     ],
 )
@@ -65,29 +60,16 @@ def test_an_exit_code_does_not_depend_on_the_streams(
 
 
 def test_output_that_is_lost_is_told(finished: Path) -> None:
-    assert _shell("plan small.toml --json", ">/dev/full", finished).stderr == NOTICE
-    assert _shell("plan small.toml", "| true", finished).stderr == "", "nobody wants it: that is no fault"
+    full = _shell("plan small.toml --json", ">/dev/full", finished)
+    assert (full.returncode, full.stderr) == (0, NOTICE)
+    piped = _shell("plan small.toml", "| true", finished)
+    assert (piped.returncode, piped.stderr) == (0, ""), "nobody wants it: that is no fault"
 
 
-@pytest.mark.parametrize(("encoding", "command"), [("ascii", "plan small.toml"), ("utf-16", "report")])
-def test_a_terminal_of_another_encoding_shows_what_it_can(
-    finished: Path, encoding: str, command: str
-) -> None:
-    words = f"report {RUN}" if command == "report" else command
-    result = subprocess.run(
-        [SCRIPT, *words.split()],
-        cwd=finished,
-        env={**os.environ, "PYTHONIOENCODING": encoding},
-        capture_output=True,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr
-    shown = result.stdout.decode(encoding)
-    assert "Traceback" not in result.stderr.decode(encoding)
-    if encoding == "ascii":
-        assert "gr\\xf6\\xdfe \\xb1 \\u03bb" in shown
-    else:
-        assert "±" in shown
+def test_a_terminal_of_another_encoding_shows_what_it_can(finished: Path) -> None:
+    shown = _shell("plan small.toml", "", finished, PYTHONIOENCODING="ascii")
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert "gr\\xf6\\xdfe \\xb1 \\u03bb" in shown.stdout
 
 
 def test_json_needs_no_letters_of_the_terminal(finished: Path) -> None:

@@ -266,10 +266,10 @@ def test_condensed_elements_are_set_up_as_often_as_planned(
     assert len(set_up) == planned["set-ups"]
 
 
-def test_one_two_and_three_places_give_the_same_numbers(tmp_path: Path) -> None:
+def test_one_and_three_workers_give_the_same_numbers(tmp_path: Path) -> None:
     """Bit for bit, whichever worker is faster."""
     found = []
-    for jobs in (1, 2, 3):
+    for jobs in (1, 3):
         plan = plan_of(tmp_path / f"{jobs}", tmp_path / f"cache-{jobs}")
         with local_pool(jobs) as pool:
             outcomes = list(run_tasks(tasks_of(plan, plan.cases, run=""), pool, tmp_path / "logs"))
