@@ -13,7 +13,6 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.body.surface_measures import facet_area_vectors
 from vdmbench.body.topology import tetrahedron_sicn, tetrahedron_volumes
 from vdmbench.study.errors import MeshError
-from vdmbench.study.shapes import geometry_key
 
 
 def body(*, volume: bool, **distortions: float) -> Mesh:
@@ -78,20 +77,6 @@ def test_the_seed_decides_and_nothing_else() -> None:
     first, again, other = (body(volume=False, perturbation=0.2, slivers=50, seed=s) for s in (1, 1, 2))
     assert first.content_hash == again.content_hash != other.content_hash
     assert_array_equal(first.triangles, other.triangles)
-
-
-def test_a_distorted_mesh_has_a_key_of_its_own() -> None:
-    keys = set()
-    for distortions in (
-        {},
-        {"slivers": 10.0},
-        {"slivers": 11.0},
-        {"perturbation": 0.1},
-        {"perturbation": 0.1, "seed": 1},
-    ):
-        geometry = shaped("sphere", 0.01, {"radius": 0.05, **distortions})
-        keys.add(geometry_key(geometry, volume=True))
-    assert len(keys) == 5
 
 
 def test_a_mesh_that_cannot_be_distorted_is_refused() -> None:

@@ -12,14 +12,8 @@ import tomli_w
 from numpy.testing import assert_allclose
 
 from vdmbench.study.config import Study, case_inputs, expand, resolved
-from vdmbench.work.keys import case_hash, wanted
 
 from .study_texts import SMALL, SWEPT, load, sweep_problems, swept
-
-
-def answers(study: Study) -> dict[str, tuple[str, ...]]:
-    """Model -> keys of its answers on the case's mesh."""
-    return {want.name: want.answers for want in wanted(study, "m") if want.level == 0}
 
 
 def test_without_a_sweep_there_is_one_case(tmp_path: Path) -> None:
@@ -224,20 +218,3 @@ def test_one_at_a_time_needs_a_base_that_is_sound(tmp_path: Path) -> None:
     sweep = 'mode = "one-at-a-time"\ntissue.poisson_ratio = [0.3, 0.4]\n'
     [(_, message)] = sweep_problems(tmp_path, sweep, base)
     assert "missing" in message
-
-
-def test_a_result_with_a_condition_is_another_one_than_without(tmp_path: Path) -> None:
-    plain = load(tmp_path, SWEPT)
-    asked = load(tmp_path, SWEPT.replace("[geometry]", "condition = true\n[geometry]"))
-    assert case_hash(plain, "m") != case_hash(asked, "m")
-    assert answers(plain) != answers(asked)
-
-
-def test_a_surface_model_asks_for_no_poisson_ratio(tmp_path: Path) -> None:
-    both = SWEPT.replace('"vdm-vector:lu"]', '"fem-linear"]')
-    one = answers(load(tmp_path, both))
-    other = answers(load(tmp_path, both.replace("poisson_ratio = 0.45", "poisson_ratio = 0.3")))
-    assert one["vdm-paper"] == other["vdm-paper"]
-    assert one["fem-linear"] != other["fem-linear"]
-    stiffer = answers(load(tmp_path, both.replace("= 5e3", "= 6e3")))
-    assert one["vdm-paper"] != stiffer["vdm-paper"]
