@@ -141,6 +141,3 @@ def unbroken(text: str) -> str:
 def asset(name: str) -> Markup:
     """A script or style sheet of ours, as it is."""
     return Markup((_TEMPLATES / name).read_text(encoding="utf-8"))
-
-
-SCRIPT_BYTES = len("".join(_scripts()).encode())

@@ -17,7 +17,7 @@ from ..verdict.verdict import verdicts
 from ..verdict.words import told
 from . import headline, picture
 from .blocks import Section
-from .document import SCRIPT_BYTES, Head, encoded, html_document
+from .document import Head, encoded, html_document
 from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
 from .section_convergence import mesh_convergence
@@ -39,7 +39,6 @@ class PictureError(ValueError):
 
 
 MOST_BYTES = 5_000_000
-_MARGIN = 50_000  # markup around the viewer's data
 
 Make = Callable[[Digest], Section | None]
 
@@ -139,9 +138,12 @@ def _page_html(digest: Digest, *, stills: bool) -> str:
             sections=sections,
         )
 
-    room = MOST_BYTES - len(encoded(page(before + after))) - SCRIPT_BYTES - _MARGIN
-    view = surfaces(digest, room, stills=stills)
-    return page([*before, *([view] if view else []), *after])
+    text = ""
+    for view in surfaces(digest, stills=stills):
+        text = page([*before, *view, *after])
+        if len(encoded(text)) <= MOST_BYTES:
+            break
+    return text
 
 
 def _counts(run: Run) -> list[tuple[str, str]]:

@@ -1,8 +1,8 @@
-"""Where on the surface the error sits: the 3-D viewer and its still pictures, within what room the page has."""
+"""Where on the surface the error sits: the 3-D viewer and its still pictures."""
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -16,29 +16,21 @@ from .picture import COLOUR_MAPS, Panel, still_of
 from .view import azimuth, candidates, displacement_scale, payload
 
 
-def surfaces(digest: Digest, room: int, *, stills: bool) -> Section | None:
-    """The viewer with as many cases and steps as `room` bytes hold, and its still pictures."""
+def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
+    """The viewer with its still pictures, from the fullest to the leanest, the last without it; [] of no case."""
     if not digest.cases or digest.focus is None:
-        return None
-    notes: list[str] = []
+        yield []
+        return
     pictures = [_still(digest, role, case) for role, case in digest.key_cases] if stills else []
     shown = [picture for picture in pictures if picture is not None]
-    room -= sum(len(picture.url) for picture in shown)
-    chosen: dict[str, object] | None = None
+    intro = Text(_introduction(digest), kind="note")
     for view, note in candidates(digest):
-        data = payload(view, digest)
-        if len(json.dumps(data)) <= room:
-            chosen = data
-            notes += [note] if note else []
-            break
-    else:
-        notes.append(
-            "The surface has too many nodes for a viewer in a page of this size; open the case files in ParaView."
-        )
-    intro = _introduction(digest)
-    return Section(
-        "surface", "Where on the surface", [Text(intro, kind="note"), Viewer(chosen, shown, notes)]
+        viewer = Viewer(payload(view, digest), shown, [note] if note else [])
+        yield [Section("surface", "Where on the surface", [intro, viewer])]
+    note = (
+        "The surface has too many nodes for a viewer in a page of this size; open the case files in ParaView."
     )
+    yield [Section("surface", "Where on the surface", [intro, Viewer(None, shown, [note])])]
 
 
 def _still(digest: Digest, role: str, case: CaseResult) -> Still | None:

@@ -170,7 +170,7 @@ def with_numbers(case: CaseResult, value: float) -> CaseResult:
     return dataclasses.replace(case, models=models, metrics=metrics, reference_error=error)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e300, 1e-300])
+@pytest.mark.parametrize("value", [np.nan, -np.inf, 0.0, 1e300])
 def test_numbers_that_are_none(value: float) -> None:
     odd, plain = (make_case({"m": 0.1}, swept={"k": k}, label=f"k = {k}", subdivisions=0) for k in (1.0, 2.0))
     run = make_run([with_numbers(odd, value), plain])

@@ -118,13 +118,6 @@ def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
         assert told in text, told
 
 
-def test_an_unresolved_difference_is_called_so() -> None:
-    bars = {"gci:relative_l2_displacement_error": 0.01}
-    run = make_run([make_case({"m": 0.05}, reference_error=bars, subdivisions=0)])
-    text = words(section(page_html(run, stills=False), "headline"))
-    assert "5.00 % ± 1.00 % unresolved 5.00 % " in text
-
-
 def test_case_table_is_sorted_by_the_error_of_the_closest_model(html: str) -> None:
     rows = re.findall(r"<tr>.*?</tr>", section(html, "cases"), re.S)[1:]
     values = [[float(v) for v in re.findall(r'data-value="([^"]+)"', row)] for row in rows]
@@ -170,16 +163,6 @@ def test_measures_that_need_no_comparison_stand_beside_the_references_own() -> N
     text = words(section(page_html(make_run(cases), stills=False), "measures"))
     model, own = (f"{percent(s[1])} worst {percent(s[2])}" for s in strains)
     assert f"over the body&#39;s volume {model} {own} " in text.replace("\u00a0", " ")
-
-
-def test_reproduce_shows_the_command_as_it_was_given() -> None:
-    run = make_run([make_case({"a": 0.1}, subdivisions=0)], name="ball")
-    command = ["run", "my ball.toml", "--surface", "scans/a.obj", "--out", "elsewhere"]
-    run = dataclasses.replace(run, plan={**run.plan, "command": command, "directory": "elsewhere"})
-    text = section(page_html(run, stills=False), "reproduce")
-    told = "vdmbench run &#39;my ball.toml&#39; --surface scans/a.obj --out elsewhere"
-    assert f"{told}\nvdmbench report elsewhere<" in text
-    assert "The study file, whose geometry --surface replaced" in text
 
 
 # --- partial and odd runs ---

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import io
 import re
 from pathlib import Path
@@ -13,7 +12,7 @@ from PIL import Image
 from tests.report.runs import icosphere, make_case, make_run
 from vdmbench.report import picture, raster
 from vdmbench.report.page import page_html, write_picture
-from vdmbench.report.picture import Panel, labelled, png
+from vdmbench.report.picture import Panel, png
 from vdmbench.report.section_view import heading, still
 from vdmbench.verdict.digest import Digest
 
@@ -70,24 +69,6 @@ def test_a_picture_that_stands_alone_tells_what_it_shows(tmp_path: Path) -> None
     assert {bar.get_xlabel() for bar in bars} == {"mm"}
 
 
-def test_a_picture_of_no_displacement_under_any_heading() -> None:
-    still_ball = dataclasses.replace(ball(), title="$\\frac{$", top=0.0)
-    words = ["$\\frac{$ " * 100, "\u809d\u81d3 <b>"]
-    assert labelled([still_ball], words) == labelled([still_ball], words)
-    (first, second) = picture._figure([still_ball], words).get_suptitle().split("\n")
-    assert first == "$\\frac{$ " * 6 + "…"
-    assert second == words[1]
-
-
-def test_a_flat_body_has_a_flat_picture() -> None:
-    panel = ball()
-    flat = Panel(panel.points * [1.0, 1.0, 0.2], panel.triangles, panel.values, "viridis", 0.0)
-    pixels = drawn(flat)
-    assert 0.44 < pixels.shape[0] / pixels.shape[1] < 0.47
-    columns = np.flatnonzero((pixels[..., 3] > 128).any(axis=0))
-    assert columns[-1] - columns[0] > 0.9 * pixels.shape[1]
-
-
 def test_page_has_a_picture_of_each_key_case_in_words_too() -> None:
     html = page_html(make_run([make_case({"m": 0.5}, subdivisions=2)]))
     assert html.count('<img src="data:image/png;base64,') == 1
@@ -133,22 +114,6 @@ def test_facets_meet_without_seams() -> None:
     flat = drawn(Panel(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.full(4, 0.5), "viridis", 0.0))
     colours = flat[flat[..., 3] == 255].astype(int)
     assert np.ptp(colours, axis=0).max() <= 2
-
-
-def test_pixels_are_averaged_by_their_alpha() -> None:
-    random = np.random.default_rng(3)
-    fine = random.integers(0, 256, (12, 16, 4), dtype=np.uint8)
-    fine[:6, :, 3], fine[6:8], fine[:2, :2] = 255, 0, 255
-    found = raster.averaged(fine).astype(float)
-    blocks = fine.reshape(6, 2, 8, 2, 4).swapaxes(1, 2).reshape(6, 8, 4, 4).astype(float)
-    alpha = blocks[..., 3:]
-    weighed = (blocks[..., :3] * alpha).sum(axis=2) / np.maximum(alpha.sum(axis=2), 1.0)
-    expected = np.concatenate([weighed, alpha.mean(axis=2)], axis=2)
-    np.testing.assert_allclose(
-        found, expected, rtol=0, atol=0.5 + 1e-4
-    )  # rounded, the weighed ones from float32
-    assert (found[0, 0] == 255).all()
-    assert not found[3].any()
 
 
 def test_a_body_of_no_size_and_values_beyond_the_scale_are_drawn() -> None:

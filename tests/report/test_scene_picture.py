@@ -68,13 +68,6 @@ def test_the_arrow_has_the_direction_of_the_force_and_stays_outside(
     )
 
 
-@pytest.mark.parametrize("force", [(0, 0, -0.1), (0, 0, 0.1)])
-def test_the_load_stands_at_the_end_away_from_the_body(force: tuple[float, ...]) -> None:
-    figure = scene_figure(stage(finger(*force)))
-    label = next(text for text in figure.axes[0].texts if text.get_text() == "0.1 N")
-    assert label.xy[1] > POINTS[:, 2].max()
-
-
 def test_the_camera_looks_at_a_part_on_any_side() -> None:
     for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         side = POINTS @ [x, y, 0] > 0.04

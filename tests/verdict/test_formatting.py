@@ -10,7 +10,6 @@ from vdmbench.verdict.formatting import (
     listed,
     load_in_words,
     number,
-    of_unit,
     parameter_name,
     percent,
     plain,
@@ -99,11 +98,6 @@ def test_swept_values_keep_what_tells_them_apart() -> None:
     assert swept_value(800.0, "Pa") == "800 Pa"
     assert swept_value(-0.005, "m") == "−5 mm"
     assert swept_value("sphere", "1") == "sphere"
-
-
-def test_of_unit() -> None:
-    assert of_unit(0.5, "1") == "50.0 %"
-    assert of_unit(0.0005, "m") == "500 µm"
 
 
 def test_words() -> None:
