@@ -156,22 +156,6 @@ def case_inputs(study: Study) -> dict[str, Any]:
     return study.without(resolved(study), Enters.NOTHING)
 
 
-def value_and_unit(study: Study, key: str) -> tuple[float, str]:
-    """The value of a key that is a quantity, in SI, and its unit ("1" where it has none); `key` as in a sweep.
-
-    Raises
-    ------
-    KeyError
-        no such quantity in this study, or none given.
-    """
-    data = _plain(study)
-    target = targets(data)[key]
-    value = value_at(data, target.loc)
-    if target.si is None or not isinstance(value, float):
-        raise KeyError(key)
-    return value, target.unit
-
-
 def with_mesh_size(study: Study, factor: float) -> Study | None:
     """The study on meshes of `factor` times its size; None where it sweeps that, or has tetrahedra of its own."""
     data, size = _plain(study), study.geometry.mesh_size
@@ -185,7 +169,11 @@ def with_mesh_size(study: Study, factor: float) -> Study | None:
 
 def start_of(study: Study, along: str) -> tuple[float, str]:
     """The load that `limits.along` names, in SI, and its unit: all loads together are once those of the study."""
-    return (1.0, "1") if along == ALL_LOADS else value_and_unit(study, along)
+    if along == ALL_LOADS:
+        return 1.0, "1"
+    data = _plain(study)
+    target = targets(data)[along]
+    return float(value_at(data, target.loc)), target.unit
 
 
 def raised(study: Study, along: str, load: float) -> Study:
