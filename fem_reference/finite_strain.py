@@ -386,7 +386,7 @@ class FiniteStrainProblem:
             record.add(number, attempt)
         record.end()
         condition = {
-            number: condition_estimate(self.tangent(reached).symmetric)
+            number: condition_estimate(self.tangent(reached).symmetric())
             for number, reached in record.states.items()
         }
         return record.solution(

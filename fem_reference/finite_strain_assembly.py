@@ -17,12 +17,12 @@ from skfem.refdom import RefTet
 from fem_reference.assembly import Pattern, chunks, reference_gradients
 from fem_reference.kinematics import PAIRS, Kinematics, Law
 from fem_reference.mesh import TetMesh
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Index
+from solver_common.jit import compiled
 
 # The volume constraint is of degree 4: a rule exact to degree 5 (14 points, all weights positive).
 _DEGREE = 5
 _CHUNK = 1024  # elements per pass: its arrays stay near the caches
-_GATHER = 8  # passes whose element matrices are summed into the pattern at once
 
 
 @dataclass(frozen=True)
@@ -102,27 +102,13 @@ class ElementAssembly:
         divergence : (coupling.size, 1, 3) blocks: integral of N J F^-T : grad v.
             Its negative transpose is the derivative of the nodal forces with respect to p.
         """
-        pattern, coupling = self.pattern, self.coupling
-        stiffness = np.zeros((pattern.size, 3, 3))
-        divergence = np.zeros((coupling.size, 1, 3))
-        parts = self._parts()
-        for first in range(0, len(parts), _GATHER):
-            group = parts[first : first + _GATHER]
-            results = [self._element_matrices(part, displacement, pressure) for part in group]
-            whole = slice(group[0].start, group[-1].stop)
-            place = pattern.place[whole].ravel()
-            matrices = np.concatenate([matrix for matrix, _ in results])
+        stiffness = np.zeros((self.pattern.size, 3, 3))
+        divergence = np.zeros((self.coupling.size, 1, 3))
+        for part in self._parts():
+            matrices, couplings = self._element_matrices(part, displacement, pressure)
             for i in range(3):
-                for k in range(i, 3):
-                    values = matrices[:, i, :, k].ravel()
-                    stiffness[:, i, k] += np.bincount(place, weights=values, minlength=pattern.size)
-            place = coupling.place[whole].ravel()
-            couplings = np.concatenate([coupling for _, coupling in results])
-            for k in range(3):
-                values = couplings[:, :, k].ravel()
-                divergence[:, 0, k] += np.bincount(place, weights=values, minlength=coupling.size)
-        for i, k in ((0, 1), (0, 2), (1, 2)):
-            stiffness[:, k, i] = stiffness[pattern.mirror, i, k]
+                _add(stiffness[:, i], self.pattern.place[part], matrices[:, i])
+            _add(divergence[:, 0], self.coupling.place[part], couplings)
         return stiffness, divergence
 
     def strain_energy(self, displacement: Array) -> float:
@@ -178,27 +164,23 @@ class ElementAssembly:
         # (e, 3, points * n) from one product, then (e, points, 3, n)
         gradients = np.swapaxes(self._barycentric_gradients[part], 1, 2) @ self._by_coordinate
         gradients = np.ascontiguousarray(gradients.reshape(count, 3, points, width).swapaxes(1, 2))
-        spatial = (np.swapaxes(k.inverse, 2, 3) @ gradients).reshape(count, points, 3 * width)
-        crossed = _gram(spatial, weights * tangent.crossed).reshape(shape)
-        out = _gram(spatial, weights * tangent.dilational).reshape(shape)
-        out += np.swapaxes(crossed, 1, 3)
+        spatial = np.swapaxes(k.inverse, 2, 3) @ gradients
+        metric = weights[..., None, None] * tangent.metric
+        out = _products(gradients, spatial, metric, weights * tangent.crossed, weights * tangent.dilational)
         if tangent.along is not None and self.law.fibre is not None:
             fibre = self.law.fibre
             stretched = k.deformation_gradient @ fibre
             along = stretched[..., None] * (fibre @ gradients)[:, :, None]
-            out += _gram(along.reshape(count, points, -1), weights * tangent.along).reshape(shape)
+            dyads = along.reshape(count, points, -1)
+            scaled = dyads * (weights * tangent.along)[..., None]
+            out += (np.swapaxes(scaled, 1, 2) @ dyads).reshape(shape)
         if tangent.elasticity is not None:
             strains = _strains(k.deformation_gradient, gradients)
             weighted = (weights[..., None, None] * tangent.elasticity) @ strains
             flat = (count, -1, 3 * width)
             out += (np.swapaxes(strains.reshape(flat), 1, 2) @ weighted.reshape(flat)).reshape(shape)
-        weighted = (tangent.metric @ gradients) * weights[..., None, None]
-        flat = (count, -1, width)
-        scalar = np.swapaxes(weighted.reshape(flat), 1, 2) @ gradients.reshape(flat)
-        for i in range(3):
-            out[:, i, :, i] += scalar
         volumes = (self._weights[part] * (1.0 + k.dilation))[..., None] * self._barycentric
-        coupling = np.swapaxes(volumes, 1, 2) @ spatial
+        coupling = np.swapaxes(volumes, 1, 2) @ spatial.reshape(count, points, 3 * width)
         return out, coupling.reshape(count, 4, 3, width)
 
     def _kinematics(self, part: slice, displacement: Array) -> Kinematics:
@@ -222,6 +204,47 @@ class ElementAssembly:
         return chunks(len(self._weights), _CHUNK)
 
 
+@compiled
+def _products(gradients: Array, spatial: Array, metric: Array, crossed: Array, dilational: Array) -> Array:
+    """(e, 3, n, 3, n) element matrices of the first three terms of `Tangent`, with weights in their factors.
+
+    `gradients` and `spatial` are (e, q, 3, n), by undeformed and by deformed coordinates.
+    """
+    elements, points, _, width = gradients.shape
+    out = np.empty((elements, 3, width, 3, width))
+    blocks, scalar = np.empty((3, 3, width, width)), np.empty((width, width))
+    for e in range(elements):
+        blocks[:], scalar[:] = 0.0, 0.0
+        for q in range(points):
+            g, s, m = gradients[e, q], spatial[e, q], metric[e, q]
+            for a in range(width):
+                for i in range(3):
+                    x = m[i, 0] * g[0, a] + m[i, 1] * g[1, a] + m[i, 2] * g[2, a]
+                    for b in range(width):
+                        scalar[a, b] += x * g[i, b]
+                    for k in range(i, 3):  # symmetric: the other half follows
+                        x, y = dilational[e, q] * s[i, a], crossed[e, q] * s[k, a]
+                        for b in range(width):
+                            blocks[i, k, a, b] += x * s[k, b] + y * s[i, b]
+        for i in range(3):
+            blocks[i, i] += scalar
+            for k in range(i, 3):
+                out[e, i, :, k] = blocks[i, k]
+                out[e, k, :, i] = blocks[i, k].T
+    return out
+
+
+@compiled
+def _add(sums: Array, place: Index, values: Array) -> None:
+    """Add (e, r, 3, n) element blocks to (size, 3) sums at (e, r n) places."""
+    elements, rows, components, columns = values.shape
+    for e in range(elements):
+        for a in range(rows):
+            for i in range(components):
+                for b in range(columns):
+                    sums[place[e, a * columns + b], i] += values[e, a, i, b]
+
+
 def _strains(deformation: Array, gradients: Array) -> Array:
     """(e, q, 6, 3 n) derivatives of the Green-Lagrange strain, shears doubled, from (e, q, 3, n) gradients."""
     first, second = PAIRS
@@ -231,8 +254,3 @@ def _strains(deformation: Array, gradients: Array) -> Array:
     swapped = rows[:, :, second[shear], :, None] * gradients[:, :, first[shear], None, :]
     out[:, :, shear] += swapped
     return np.asarray(out.reshape(*out.shape[:3], -1))
-
-
-def _gram(vectors: Array, weights: Array) -> Array:
-    """(e, n, n) sums over the points q of weights[e, q] v v^T for (e, q, n) vectors."""
-    return np.asarray(np.swapaxes(vectors * weights[..., None], 1, 2) @ vectors)

@@ -19,7 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fem_reference.kinematics import PAIRS, Kinematics, Tangent, less_exponential, less_logarithm
+from fem_reference.kinematics import (
+    PAIRS,
+    Kinematics,
+    Tangent,
+    less_exponential,
+    less_logarithm,
+    product,
+)
 from solver_common.arrays import Array
 
 _I, _J = PAIRS
@@ -60,13 +67,13 @@ class Hyperelastic(ABC):
         hydrostatic = self._pressure(k, pressure) * (1.0 + k.dilation)
         for i in range(3):
             inner[..., i, i] -= hydrostatic
-        return np.asarray(np.swapaxes(k.inverse, -1, -2) @ inner)
+        return product(np.swapaxes(k.inverse, -1, -2), inner)
 
     def tangent(self, k: Kinematics, pressure: Array) -> Tangent:
         """dP/dF; see `fem_reference.kinematics.Law`."""
         volume = 1.0 + k.dilation
         hydrostatic = self._pressure(k, pressure) * volume
-        metric = k.inverse_metric @ self.mixed_stress(k)
+        metric = product(k.inverse_metric, self.mixed_stress(k))
         dilational = 2.0 / 3.0 * self.shear_modulus * volume**2 - hydrostatic
         return Tangent(metric, hydrostatic, dilational, elasticity=self.elasticity(k))
 
@@ -107,7 +114,7 @@ class _OfInvariants(Hyperelastic):
         out = (2.0 * slope * shrink)[..., None, None] * d
         if self.second:
             trace = np.trace(d, axis1=-2, axis2=-1)[..., None, None]
-            out = out + (2.0 * self.second * shrink**2)[..., None, None] * ((1.0 + trace) * d - d @ d)
+            out = out + (2.0 * self.second * shrink**2)[..., None, None] * ((1.0 + trace) * d - product(d, d))
         return _deviator(out)
 
     def elasticity(self, k: Kinematics) -> Array:
@@ -126,7 +133,7 @@ class _OfInvariants(Hyperelastic):
         def scaled(factor: Array, tensor: Array) -> Array:
             return factor[..., None, None] * tensor
 
-        a = (scaled(shrink, inverse @ _deviator(d)))[..., _I, _J]
+        a = (scaled(shrink, product(inverse, _deviator(d))))[..., _I, _J]
         mixed = _outer(a, flat)
         out = scaled(4.0 * curve, _outer(a, a))
         out += scaled(
@@ -135,7 +142,7 @@ class _OfInvariants(Hyperelastic):
         )
         if self.second:
             trace = np.trace(d, axis1=-2, axis2=-1)[..., None, None]
-            b = scaled(shrink**2, inverse @ _deviator((1.0 + trace) * d - d @ d))[..., _I, _J]
+            b = scaled(shrink**2, product(inverse, _deviator((1.0 + trace) * d - product(d, d))))[..., _I, _J]
             mixed = _outer(b, flat)
             identity = np.outer(_UNIT, _UNIT) - _symmetric_product(np.eye(3))
             bracket = scaled(second + 3.0, crossed - 2.0 / 3.0 * square) - mixed - np.swapaxes(mixed, -1, -2)

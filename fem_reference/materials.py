@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fem_reference.hyperelastic import FungDemiray, MooneyRivlin, Ogden, Yeoh
-from fem_reference.kinematics import Kinematics, Law, Tangent, less_logarithm
+from fem_reference.kinematics import Kinematics, Law, Tangent, less_logarithm, product
 from solver_common.arrays import Array
 from solver_common.solution import solver_error
 
@@ -77,7 +77,7 @@ class NeoHookean:
         hydrostatic = pressure * (1.0 + k.dilation)
         for i in range(3):
             inner[..., i, i] -= hydrostatic
-        return np.asarray(np.swapaxes(k.inverse, -1, -2) @ inner)
+        return product(np.swapaxes(k.inverse, -1, -2), inner)
 
     def tangent(self, k: Kinematics, pressure: Array) -> Tangent:
         """dP/dF; see `Law`."""

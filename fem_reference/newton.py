@@ -344,16 +344,20 @@ class Newton:
             system.springs.add_to(blocks, system.mesh, pattern)
         if self.contact is not None:
             self.contact.add_stiffness(blocks, self._points + u, load.depth)
-        symmetric = blocks
-        if load.pressure.any():
+        is_pressed = bool(load.pressure.any())
+        if is_pressed:
             places, pressed = self.follower.stiffness(self._points + u, load.pressure)
-            symmetric = blocks.copy()
-            symmetric[places] += 0.5 * pressed
-            symmetric[pattern.mirror[places]] += 0.5 * np.swapaxes(pressed, 1, 2)
             blocks[places] += pressed
         gradient = csr_array(divergence.T)
         true = replace(system, stiffness=self._stiffness(blocks), divergence=divergence, gradient=gradient)
-        half = true if symmetric is blocks else replace(true, stiffness=self._stiffness(symmetric))
+
+        def symmetric() -> LinearSystem:
+            if not is_pressed:
+                return true
+            half = blocks.copy()
+            half[places] -= 0.5 * pressed
+            half[pattern.mirror[places]] += 0.5 * np.swapaxes(pressed, 1, 2)
+            return replace(true, stiffness=self._stiffness(half))
 
         def action(step: Array) -> Array:
             if not step.any():
@@ -364,7 +368,7 @@ class Newton:
             volume = bsr_array((volumes, coupling.indices, coupling.indptr), shape=(rows, size)) @ flat
             return self._vector(nodal.reshape(-1, 3), volume)
 
-        return TangentSystem(true, half, action)
+        return TangentSystem(true, symmetric, action)
 
     def softest(self, reached: Substep) -> float:
         """Lowest eigenvalue of the tangent in a state, over the stiffness at rest; NaN where it has none.

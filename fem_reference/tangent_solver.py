@@ -32,10 +32,10 @@ Operator = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class TangentSystem:
-    """A tangent, its symmetric part, from which a preconditioner is made, and its product with all nodes' moves."""
+    """A tangent, what makes its symmetric part, for a preconditioner, and its product with all nodes' moves."""
 
     true: LinearSystem
-    symmetric: LinearSystem
+    symmetric: Callable[[], LinearSystem]
     action: Operator
 
 
@@ -183,7 +183,7 @@ class TangentSolver:
 
     def _renew(self, tangent: TangentSystem) -> None:
         self._approximate = None  # before the new one is made: both may not fit
-        self._approximate = self.preconditioner.make(tangent.symmetric)
+        self._approximate = self.preconditioner.make(tangent.symmetric())
         self.factorisations += 1
 
     def _gmres(

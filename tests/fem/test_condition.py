@@ -106,6 +106,6 @@ def test_the_tangents_condition_follows_the_load() -> None:
     assert np.isfinite(estimate[3])
     # and it is that of the tangent there, computed anew
     [*_, (_, last)] = [item for item in problem.substeps(loads[:3]) if item[1].converged]
-    tangent = problem.tangent(last).symmetric
+    tangent = problem.tangent(last).symmetric()
     assert_allclose(condition_estimate(tangent), estimate[2], rtol=1e-6, atol=0)
     assert BAND[0] <= estimate[2] / exact(tangent) <= BAND[1]

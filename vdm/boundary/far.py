@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vdm.boundary.jit import compiled
+from solver_common.jit import compiled
 
 
 @compiled

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from solver_common.arrays import Array, Index
+from solver_common.jit import compiled
 from solver_common.quadrature import facet_quadrature
 from vdm.boundary.far import far_row
-from vdm.boundary.jit import compiled
 from vdm.boundary.plane import add_near, graded
 from vdm.boundary.quadrature import Rule, sixteen_points, three_points, touching
 

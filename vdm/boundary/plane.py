@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from solver_common.arrays import Array
-from vdm.boundary.jit import compiled
+from solver_common.jit import compiled
 
 # Gauss points from the centre outward and along the edges, of each of the three parts of a facet
 POINTS = 5
