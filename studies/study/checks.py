@@ -295,7 +295,8 @@ def _check_regions(study: Study) -> Iterator[Finding]:
             safe_name(name)
         except ValueError as error:
             yield ("regions", name), str(error)
-        yield from _check_region(region, ("regions", name), regions)
+        for loc, part in _inside(region, ("regions", name)):
+            yield from _check_region(part, loc, regions)
         if name in _reached(name, regions):
             yield ("regions", name), "refers to itself, directly or through other regions"
         elif _is_too_large(region, regions):
@@ -307,14 +308,15 @@ def _check_regions(study: Study) -> Iterator[Finding]:
 
 def _check_groups(study: Study) -> Iterator[Finding]:
     """Named groups of nodes where the body has none."""
-    path = study.geometry.path
-    if study.geometry.shape == "file" and (path is None or path.suffix.lower() == ".msh"):
+    if isinstance(study.geometry, FileBody) and study.geometry.suffix == ".msh":
         return
     for name, region in study.regions.items():
-        for loc in _groups_in(region, ("regions", name)):
-            yield loc, "only a MSH file has named groups of nodes; say where the region is instead"
-    for place, part in enumerate(study.inclusions or ()):
-        if part.group is not None:
+        for loc, part in _inside(region, ("regions", name)):
+            if part.group is not None:
+                text = "only a MSH file has named groups of nodes; say where the region is instead"
+                yield (*loc, "group"), text
+    for place, inclusion in enumerate(study.inclusions or ()):
+        if inclusion.group is not None:
             text = "only a MSH file has named groups; give a ball or a box instead"
             yield ("inclusions", place, "group"), text
 
@@ -339,17 +341,17 @@ def _check_coordinates(study: Study) -> Iterator[Finding]:
 
 
 def _has_coordinates(region: Region) -> bool:
-    planes = (region.below, region.above)
-    own = region.ball or region.box or any(plane.value is not None for plane in planes if plane is not None)
-    return bool(own) or any(_has_coordinates(part) for _, part in _parts(region) if isinstance(part, Region))
+    parts = [part for _, part in _inside(region, ())]
+    planes = [plane for part in parts for plane in (part.below, part.above) if plane is not None]
+    return any(part.ball or part.box for part in parts) or any(plane.value is not None for plane in planes)
 
 
-def _groups_in(region: Region, loc: Loc) -> Iterator[Loc]:
-    if region.group is not None:
-        yield (*loc, "group")
+def _inside(region: Region, loc: Loc) -> Iterator[tuple[Loc, Region]]:
+    """A region and the tables inside it, each with its place."""
+    yield loc, region
     for part_loc, part in _parts(region):
         if isinstance(part, Region):
-            yield from _groups_in(part, (*loc, *part_loc))
+            yield from _inside(part, (*loc, *part_loc))
 
 
 def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
@@ -366,9 +368,7 @@ def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Itera
             yield (*loc, key), "give either fraction or value"
     yield from _check_box(region.box, (*loc, "box"))
     for part_loc, part in _parts(region):
-        if isinstance(part, Region):
-            yield from _check_region(part, (*loc, *part_loc), regions)
-        elif part not in regions:
+        if isinstance(part, str) and part not in regions:
             yield (*loc, *part_loc), unknown(part, list(regions), "region")
 
 
