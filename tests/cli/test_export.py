@@ -39,12 +39,12 @@ def test_every_file_is_read_by_another_program(
     told = json.loads(capsys.readouterr().out)
     assert sorted(told["files"]) == sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
     drawings = sorted((out / "figures").glob("*.svg"))
-    assert {"scene.svg", "parameters-1.svg", "volume-1.svg"} <= {path.name for path in drawings}
+    assert {"scene.svg", "parameters-1.svg", "force-1.svg"} <= {path.name for path in drawings}
     for path in drawings:
         root = ET.fromstring(path.read_text())
         assert root.tag == "{http://www.w3.org/2000/svg}svg"
         assert "var(" not in path.read_text(), "a colour of the page, which is not there"
-    words = "".join(ET.fromstring((out / "figures/volume-1.svg").read_text()).itertext())
+    words = "".join(ET.fromstring((out / "figures/force-1.svg").read_text()).itertext())
     assert "vdm-vector" in words, "a legend"
     rows = list(csv.DictReader((out / "tables/headline.csv").read_text().splitlines()))
     assert [row["Model"].split()[0] for row in rows] == ["vdm-paper", "vdm-vector", "fem-linear"]
