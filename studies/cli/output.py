@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import re
 import sys
 import textwrap
@@ -29,10 +30,12 @@ class UsageError(ValueError):
 
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     """The headline table, the verdict, the failures and the report's path."""
-    from ..report.summary import TABLE, summary
+    if run.told is None:
+        from ..report.summary import summary  # plotting is slow to load
 
-    found = dict(run.told or summary(run))
-    table = found.pop(TABLE)
+        run = dataclasses.replace(run, told=summary(run))
+    found = dict(run.told or {})
+    table = found.pop("table")
     if as_json:
         print_json({"directory": str(directory), "report": str(report)} | found)
     else:

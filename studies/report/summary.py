@@ -12,8 +12,6 @@ from ..verdict.words import told
 from .headline import headline_metrics, headline_rows, terminal_rows
 from .section_cases import stopped_models
 
-TABLE = "table"  # the rows of the terminal's table, which JSON does not show
-
 
 def summary(run: Run) -> dict[str, Any]:
     """What is done, the headline table, the verdicts; numbers, texts, lists and tables alone."""
@@ -30,5 +28,5 @@ def summary(run: Run) -> dict[str, Any]:
         "headline": headline_rows(run),
         "metrics": headline_metrics(run),
         "answers": dataclasses.asdict(told(found)),
-        TABLE: terminal_rows(digest),
+        "table": terminal_rows(digest),  # of the terminal, which JSON does not show
     } | found.as_data()
