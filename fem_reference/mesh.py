@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from functools import cached_property, partial
 
@@ -165,15 +164,6 @@ class TetMesh:
             return self.curved.bases(intorder)
         displacement = Basis(self.skfem_mesh, ElementVector(element), intorder=intorder)
         return displacement, Basis(self.pressure_mesh, ElementTetP1(), intorder=intorder)
-
-    def with_order(self, order: int) -> TetMesh:
-        """The same mesh with the nodes of another element; the geometry is shared, not checked again."""
-        other = copy.copy(self)
-        other.order = order
-        other.__dict__.pop("node_points", None)
-        other.curved = None
-        other._number_nodes()
-        return other
 
     def facet_functions(self, barycentric: Array) -> Array:
         """(Q, 3 or 6) shape functions on a facet at (Q, 3) points."""

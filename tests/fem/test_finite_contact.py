@@ -94,12 +94,11 @@ def test_force_is_the_slope_of_the_energy(verified: Verified) -> None:
     assert r[b.surface[:, 2] == 1.0].min() > 0.7 - 0.01
 
 
-@pytest.mark.parametrize("depth", [0.35, 0.45])
-def test_an_indenter_never_goes_through_the_surface(depth: float) -> None:
+def test_an_indenter_never_goes_through_the_surface() -> None:
     """Deeper than it is wide in one step: it pushes, or the step has failed by name, on the way and not at rest."""
     b = cube(3)
     found = _problem(b, poisson_ratio=0.2).indent(
-        Indenter(Sphere(0.17), (0.5, 0.5, 1.0), DOWN), _top(b), [depth]
+        Indenter(Sphere(0.17), (0.5, 0.5, 1.0), DOWN), _top(b), [0.45]
     )
     if found.solution.status[0].ok:
         assert -found.force[0, 2] > 0.0
