@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.parts.body import Parts
+from vdm.parts.caps import CutError, cap
 from vdm.parts.cut import cut, volume
 from vdm.parts.solve import PartsSolver
 
@@ -46,6 +47,36 @@ def test_parts_fill_the_body(count: int) -> None:
         assert min(volumes) > 0.0
         assert_allclose(sum(volumes), SurfaceMesh(points, triangles).volume, rtol=1e-12, atol=0.0)
         assert_allclose(found.points[: len(points)], points, rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize("place", [0.0, 0.8])
+def test_a_cut_goes_through_a_cavity_or_leaves_it_whole(place: float) -> None:
+    (x, outer), (y, inner) = icosphere(3), icosphere(2)
+    points = np.vstack([x * [1.5, 1.0, 1.0], 0.4 * y + [place, 0.0, 0.0]])
+    triangles = np.vstack([outer, inner[:, ::-1] + len(x)])
+    found = cut(points, triangles, 2)
+    bodies = [
+        SurfaceMesh(found.points[nodes], local.reshape(-1, 3))
+        for nodes, local in (np.unique(part, return_inverse=True) for part in found.parts)
+    ]
+    assert [body.shells.max() for body in bodies].count(1) == (place > 0.0)
+    total = sum(body.volume for body in bodies)
+    assert_allclose(total, SurfaceMesh(points, triangles).volume, rtol=1e-12, atol=0.0)
+
+
+def test_loops_that_no_cap_fills_are_refused() -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    loop = np.arange(24)
+    for other in (ring + np.array([0.7, 0.0, 0.0]), 0.4 * ring):  # one crosses, one runs the same way round
+        with pytest.raises(CutError, match="loops of the cut"):
+            cap(np.vstack([ring, other]), [loop, 24 + loop], np.array([0.0, 0.0, 1.0]))
+    new, facets = cap(np.vstack([ring, 0.4 * ring]), [loop, 24 + loop[::-1]], np.array([0.0, 0.0, 1.0]))
+    assert len(new) > 0
+    assert len(facets) > 48
+    small = cut(*icosphere(1), 2)
+    assert len(small.parts) == 1
+    assert "too small to be cut" in small.refused
 
 
 def bent(model: Model, parts: int) -> tuple[Parts, Array]:
