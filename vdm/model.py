@@ -232,7 +232,8 @@ class Model:
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
             path_error[k], mesh_error[k] = found.path, self._of_mesh(load, step)
             told.append(self.solver.scalars(load, step) if isinstance(self.solver, PartsSolver) else {})
-            status.append(reserved(last.status, self.bending_error, mesh_error[k], self.formulation))
+            apart = told[-1].get("parts_error", np.nan)
+            status.append(reserved(last.status, self.bending_error, mesh_error[k], self.formulation, apart))
             for name, values in fields.items():
                 values[k] = self._point_field(name, step)
         return Solution(

@@ -22,11 +22,13 @@ _INSIDE = (
 )
 
 
-def reserved(status: Status, bending: float, mesh: float, form: Formulation) -> Status:
+def reserved(status: Status, bending: float, mesh: float, form: Formulation, parts: float = np.nan) -> Status:
     """The status of a step, with a reservation where one of two errors is beyond `LIMIT`; NaN is none.
 
-    `bending` is that of `vdm.bending`, of the form on this body; `mesh` that of `vdm.mesh_error`, of this load.
+    `bending` is that of `vdm.bending`, of the form on this body; the other the sum of `mesh`, of `vdm.mesh_error`
+    for this load, and of what twice as many `parts` change.
     """
+    left = float(np.nansum([mesh, parts]))
     if not status.ok:
         return status
     if bending > LIMIT:
@@ -37,9 +39,14 @@ def reserved(status: Status, bending: float, mesh: float, form: Formulation) -> 
         else:
             message = f"the {form.name} form does not know what is inside this body: {wrong}"
             remedy = _INSIDE
-    elif mesh > LIMIT and isinstance(form, BoundaryFormulation):
-        message = f"the mesh leaves about {mesh:.0%} of the displacement open"
-        remedy = _finer(form, mesh, "above all at the edges of supports and loads")
+    elif left > LIMIT and isinstance(form, BoundaryFormulation):
+        of_parts = parts > mesh
+        message = (
+            f"the {'parts leave' if of_parts else 'mesh leaves'} about {left:.0%} of the displacement open"
+        )
+        remedy = _finer(form, left, "above all at the edges of supports and loads")
+        if of_parts:
+            remedy = "give more parts"
     else:
         return status
     return replace(

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 
 from tests.example_case import example_measurement
 from tests.report.runs import make_case, make_run
-from tools import anchors, error_bars, evidence, mutants, speed, untuned
+from tools import anchors, error_bars, evidence, mutants, speed, trial, untuned
 from tools.documents import CASES, README, ROOT, cells, rows_shown, shown
 from tools.evidence import EVIDENCE, MEASURES
 from vdmbench.study.config import expand, load_study
@@ -110,6 +110,12 @@ def test_other_studies_of_the_evidence_are_sound(tmp_path: Path) -> None:
     for load in EVIDENCE["untuned"]["loads"]:
         path.write_text(untuned.study_text(untuned.torus(), load))
         assert len(expand(load_study(path))) == 4
+    for name in ("cup", "fork"):
+        (tmp_path / f"{name}.stl").touch()
+    for body, load in ((body, load) for body in trial.OWN["bodies"] for load in trial.OWN["loads"]):
+        path.write_text(trial.study_text(body, load))
+        if (body, load) != ("bladder", "weight"):  # whose fluid has none
+            assert len(expand(load_study(path))) == 1
     studies = {path.stem for path in CASES.glob("*.toml")}
     assert set(EVIDENCE["scenes"]["studies"]) | set(EVIDENCE["error_bars"]["cases"]) <= studies
 
@@ -161,6 +167,8 @@ def test_what_is_shown_is_made_of_all_rows() -> None:
     assert evidence.accuracy_shown(all_rows("accuracy"))[1] == there("accuracy")
     assert cells(untuned.by_body(all_rows("untuned")))[1:] == there("untuned")
     assert anchors.finest(all_rows("anchors")) == there("anchors")
+    assert all_rows("parts") == there("parts")
+    assert trial.summed_up(all_rows("parts")) == shown(ROOT / EVIDENCE["parts"]["document"], "trial-sum")
     assert there("performance")[-1] == next(
         r[2:] for r in reversed(all_rows("performance")) if r[0] == "organ"
     )
