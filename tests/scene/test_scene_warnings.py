@@ -45,6 +45,7 @@ def constraints(*entries: dict[str, Any]) -> list[Constraint]:
 
 def found(kind: str, mask: np.ndarray, **keys: Any) -> list[str]:
     """The sentences about one constraint on `mask` beside a sound support."""
+    keys = {"displacement": [0.0, 0.0, 0.0]} | keys if kind == "constrained" else keys
     entries = [{"kind": "fixed", "region": "base"}, {"kind": kind, "region": "here", **keys}]
     masks = {"base": SUPPORT, "here": mask}
     doubts = list(scene_warnings(constraints(*entries), TISSUE, masks, POINTS, TRIANGLES))
