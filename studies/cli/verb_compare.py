@@ -9,6 +9,7 @@ from pathlib import Path
 from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
 
+from ..machine import harmless
 from .arguments import RUNS, STUDY_READS, given_run_directory, option
 from .output import (
     FAILED,
@@ -138,7 +139,7 @@ def _print(
     from ..verdict.formatting import of_unit
 
     for letter, name in zip(ascii_uppercase, names, strict=False):
-        print(f"{letter}  {name}"[:WIDTH])
+        print(harmless(f"{letter}  {name}"[:WIDTH]))
     print("at full load, the worst of all cases; held against A case by case")
     news = {"worse", "better", "newly failing", "newly passing"}
     changed = {row["metric"] for row in found if news & {*row["outcomes"]}}
@@ -151,14 +152,14 @@ def _print(
                 letter: f"{of_unit(value, row['unit'])} {_MARKS.get(outcome, '')}".rstrip()
                 for letter, value, outcome in cells
             }
-            rows.append({"model": row["model"], **told})
+            rows.append({"model": harmless(row["model"]), **told})
         print_table(rows)
     print()
     for letter, each in zip(ascii_uppercase[1:], findings, strict=False):
         print(f"{letter} against A: {summary(each)}")
         why = list(dict.fromkeys(finding.why for finding in each if finding.why))
         for reason in [*why[:3], *([f"and {len(why) - 3} more; all by --json"] if len(why) > 3 else [])]:
-            print(folded(reason, "   "))
+            print(folded(harmless(reason), "   "))
 
 
 def _judge(options: argparse.Namespace) -> int:
