@@ -1,8 +1,9 @@
 """Accuracy kept. In: a run and what was accepted, or runs. Out: what is worse, better, missing or not comparable.
 
-A baseline holds the value of each case, model and metric at full load, what the cases were asked, the versions of
-models and metrics, and why it was accepted. Only sizes are gated: an error that grows is worse, one that shrinks is
-better. Times, memory and descriptive metrics (`vdmbench.measures.metrics.Sense`) are not in it.
+A baseline holds the value of each case, model and metric at full load, the verdict of each family, what the cases
+were asked, the versions of models and metrics, and why it was accepted. Only sizes are gated: an error that grows
+is worse, one that shrinks is better; so is a word. Times, memory and descriptive metrics
+(`vdmbench.measures.metrics.Sense`) are not in it.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ from .measures.metrics import METRICS, Sense
 from .measures.uncertainty import SIGNED
 from .store.hdf5 import StoreError
 from .study.kinds import safe_name
+from .verdict.acceptance import WORDS
+from .verdict.digest import digest_of
+from .verdict.verdict import verdicts
 
 SCHEMA = 2  # of 1, the inputs were a digest, which could not say what had changed
 RELATIVE = 0.02  # of a value: another BLAS, another core count and another order of sums move it by far less
@@ -36,6 +40,7 @@ ABSOLUTE = {
 }  # no change whatever the value, by unit: 0.1 percentage points, a micrometre
 CONSERVED = 1e-9  # of what is conserved: a deviation is judged by its own size, down to where it is rounding
 ONLY_CASE = "the only case"  # what the case of a study without a sweep is called
+VERDICT = "verdict"  # in place of a metric, of a family in place of a model
 OWN = "own error: "  # before the name of a metric in which the reference's own error was measured
 _NOT_ASKED = (
     "study",
@@ -85,7 +90,10 @@ class Entry(_Stored):
 
 
 class Baseline(_Stored):
-    """What was accepted of a study, when and why; `inputs` by their keys (SI), cases by their labels."""
+    """What was accepted of a study, when and why; `inputs` by their keys (SI), cases by their labels.
+
+    `verdicts` holds the word of each family under the limits of `acceptance`; older baselines have none.
+    """
 
     schema_version: int = Field(SCHEMA, alias="schema")
     study: str
@@ -94,6 +102,8 @@ class Baseline(_Stored):
     inputs: dict[str, Any]
     models: dict[str, str]
     metrics: dict[str, Measure]
+    acceptance: dict[str, Any] = {}
+    verdicts: dict[str, str] = {}
     cases: dict[str, Entry]
 
     def inputs_of(self, case: str) -> dict[str, Any]:
@@ -153,6 +163,10 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
         inputs=common,
         models=versions,
         metrics=measures,
+        acceptance=run.study.acceptance.model_dump(mode="json"),
+        verdicts={
+            family: one.word for family, one in verdicts(digest_of(run)).families.items() if one.models
+        },
         cases={
             case.label or ONLY_CASE: Entry(
                 inputs={key: asked[case.hash].get(key) for key in _changed(common, asked[case.hash])},
@@ -324,7 +338,26 @@ def compare(run: Run, was: Baseline, whose: str = "the baseline") -> list[Findin
         if label not in was.cases:
             state = f", and it failed: {failed[label]}" if label in failed else ""
             findings.append(Finding(NEW, label, "", "", why=f"{whose} has no such case{state}"))
+    # of the same cases and models, and of numbers: words alone prove nothing
+    if all(f.metric for f in findings) and any(f.outcome in _COMPARED for f in findings):
+        findings += _compare_verdicts(was, now)
     return findings
+
+
+def _compare_verdicts(was: Baseline, now: Baseline) -> Iterator[Finding]:
+    """The word of each family beside the accepted one, under the same limits; none where none was accepted."""
+    if was.verdicts and was.acceptance != now.acceptance:
+        why = _inputs_changed(was.acceptance, now.acceptance)
+        yield Finding(NOT_COMPARABLE, "", "", VERDICT, why=f"acceptance: {why}")
+        return
+    for family, word in was.verdicts.items():
+        here = now.verdicts.get(family)
+        if here is None:
+            yield Finding(MISSING, "", family, VERDICT, why="the run has no model of this family")
+            continue
+        worse = WORDS.index(here) - WORDS.index(word)
+        outcome = WORSE if worse > 0 else BETTER if worse < 0 else SAME
+        yield Finding(outcome, "", family, VERDICT, why="" if here == word else f"{word} -> {here}")
 
 
 def _compare_case(label: str, was: Baseline, now: Baseline, whose: str) -> Iterator[Finding]:

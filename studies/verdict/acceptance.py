@@ -25,7 +25,7 @@ FRAME_TIME = "frame_time"
 # where a model stands; of several limits the largest decides
 NOT_ASKED, WITHIN, OPEN, BEYOND, LOST = -1, 0, 1, 2, 3
 YES, UNDECIDED, NO, NOT_JUDGED = "yes", "undecided", "no", "not judged"
-_WORDS = (YES, UNDECIDED, NO, NOT_JUDGED)  # the best first
+WORDS = (YES, UNDECIDED, NO, NOT_JUDGED)  # the best first
 WORD = {WITHIN: YES, OPEN: UNDECIDED, BEYOND: NO, LOST: NO}  # of one case
 States = NDArray[np.int8]
 
@@ -131,7 +131,7 @@ class Acceptance:
         word = word_of(self.state(case, model) for case in cases)
         known = [share for case in cases if math.isfinite(share := self.share(case, model))]
         usual = float(np.median(known)) if known else math.inf
-        return _WORDS.index(word), self.usual_share(cases, model), -len(known), usual
+        return WORDS.index(word), self.usual_share(cases, model), -len(known), usual
 
 
 def acceptance(study: Study) -> Acceptance:
@@ -213,4 +213,4 @@ def _nothing(case: CaseResult) -> Array:
 
 def word_of(states: Iterable[int]) -> str:
     """The answer to "is it good enough?" from a model's state in each judged case: that of the worst of them."""
-    return max((WORD[state] for state in states), key=_WORDS.index, default=NOT_JUDGED)
+    return max((WORD[state] for state in states), key=WORDS.index, default=NOT_JUDGED)

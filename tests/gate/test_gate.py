@@ -350,3 +350,24 @@ def test_json_has_every_metric_and_the_findings(
     assert {finding["outcome"] for finding in told["findings"][0]} >= {"worse", "better", "newly failing"}
     with pytest.raises(ValueError, match="give 2 to 26 different run directories, not 1"):
         verb_compare.run(parse(["compare", beside[0], f"{beside[0]}/."]))
+
+
+def test_the_verdict_of_a_family_is_gated() -> None:
+    """As accepted, worse, better, and under other limits; a baseline of before has none."""
+    good, bad = (
+        case_of({"vdm-vector": 0.05, "vdm-paper": 0.8}),
+        case_of({"vdm-vector": 0.2, "vdm-paper": 0.8}),
+    )
+    accepted = gate.baseline_of(make_run([good]))
+    assert accepted.verdicts == {"vdm-printed": "no", "vdm-derived": "yes"}
+
+    def words(case: CaseResult, was: gate.Baseline) -> dict[str, tuple[str, str]]:
+        found = [finding for finding in findings(case, was=was) if finding.metric == gate.VERDICT]
+        return {finding.model: (finding.outcome, finding.why) for finding in found}
+
+    assert words(good, accepted) == {"vdm-printed": (gate.SAME, ""), "vdm-derived": (gate.SAME, "")}
+    assert words(bad, accepted)["vdm-derived"] == (gate.WORSE, "yes -> no")
+    assert words(good, gate.baseline_of(make_run([bad])))["vdm-derived"] == (gate.BETTER, "no -> yes")
+    other = accepted.model_copy(update={"acceptance": accepted.acceptance | {"displacement_error": 0.3}})
+    assert words(good, other)[""] == (gate.NOT_COMPARABLE, "acceptance: displacement_error was 0.3, is 0.1")
+    assert words(bad, accepted.model_copy(update={"verdicts": {}})) == {}
