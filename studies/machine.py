@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _PART = ".part"  # ends the names of files being written, which nothing reads
 _LONGEST = 200  # characters of a name that its temporary file repeats: file systems take 255 bytes
+LEAST_MEMORY = 3_000_000_000  # B of a shell's limit: the solvers' libraries and their buffers
 _DIGEST_BYTES = 32  # a SHA-256 ends a file of arrays; readers of .npz do not mind it
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 _CONTAINER = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # versions 2 and 1
@@ -241,6 +242,21 @@ def machine_memory() -> int:
         with contextlib.suppress(OSError, ValueError):  # not there, or "max"
             sizes.append(int(Path(name).read_text()))
     return min(sizes)
+
+
+def require_memory() -> None:
+    """Raises MemoryError under a limit of the shell or batch system in which solvers cannot be loaded: numpy's
+    OpenBLAS, refused its buffers, asks again for ever.
+    """
+    for letter, kind in (("v", resource.RLIMIT_AS), ("d", resource.RLIMIT_DATA)):
+        limit = resource.getrlimit(kind)[0]
+        if limit != resource.RLIM_INFINITY:
+            os.environ["OPENBLAS_NUM_THREADS"] = "1"  # each further one takes a buffer
+            if limit < LEAST_MEMORY:
+                allowed = f"ulimit -{letter} {limit // 1024}"
+                raise MemoryError(
+                    f"too little memory for the solvers: {allowed}; allow 3 GB or more, or no limit"
+                )
 
 
 def limit_memory(size: int) -> None:

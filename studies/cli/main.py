@@ -49,9 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     options = None
     try:
-        from ..machine import make_output_harmless
+        from ..machine import make_output_harmless, require_memory
 
         make_output_harmless()
+        require_memory()
         from .arguments import parse
 
         options = parse(arguments)
@@ -104,7 +105,7 @@ def _complain_of(error: BaseException) -> int:
         case BrokenPipeError():  # nobody reads any more
             return INTERRUPTED
         case MemoryError():
-            return complain("out of memory", MACHINE)
+            return complain(str(error) or "out of memory", MACHINE)
         case ImportError():
             return complain(str(error), MACHINE)
         case FileExistsError(filename=name):  # where a directory was to be made

@@ -67,7 +67,9 @@ def _tables(table: type[Table], value: Any = None) -> list[type[Table]]:
     if not issubclass(table, OneOf):
         return [table]
     word = value.get(table.by) if isinstance(value, Mapping) else None
-    return [table.kinds[word]] if isinstance(word, str) and word in table.kinds else list(table.kinds.values())
+    return (
+        [table.kinds[word]] if isinstance(word, str) and word in table.kinds else list(table.kinds.values())
+    )
 
 
 # --- what a sweep can vary ---

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -147,11 +148,20 @@ def beyond_memory(plan: Plan, work: Sequence[Body], doubt: float = MEMORY_DOUBT)
 
 
 def _held(plan: Plan, body: Body) -> float:
-    """Bytes that a set-up declares to take; 0 where nobody knows."""
+    """Bytes that a set-up declares to take; 0 where nobody knows. Raises ValueError where its formula, a plug-in's
+    too, gives none.
+    """
     (model, solver), known = models.find(body.name), expected_mesh(plan, plan.meshes[body.mesh])
     if model.memory is None or known is None:
         return 0.0
-    return float(model.memory(known.size.refined(body.level), solver))
+    try:
+        found = float(model.memory(known.size.refined(body.level), solver))
+        if not 0.0 <= found < math.inf:
+            raise ValueError(f"it says {found:g} B")
+    except (Exception, SystemExit) as error:
+        why = f"{body.name}: memory(size, solver) fails: {error!r}; mend it, or declare no memory"
+        raise ValueError(why) from error
+    return found
 
 
 def refused(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
