@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _PART = ".part"  # ends the names of files being written, which nothing reads
 _LONGEST = 200  # characters of a name that its temporary file repeats: file systems take 255 bytes
-LEAST_MEMORY = 3_000_000_000  # B of a shell's limit: the solvers' libraries and their buffers
+_LEAST_MEMORY = 3_000_000_000  # B of a shell's limit: the solvers' libraries and their buffers
 _DIGEST_BYTES = 32  # a SHA-256 ends a file of arrays; readers of .npz do not mind it
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 _CONTAINER = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # versions 2 and 1
@@ -252,7 +252,7 @@ def require_memory() -> None:
         limit = resource.getrlimit(kind)[0]
         if limit != resource.RLIM_INFINITY:
             os.environ["OPENBLAS_NUM_THREADS"] = "1"  # each further one takes a buffer
-            if limit < LEAST_MEMORY:
+            if limit < _LEAST_MEMORY:
                 allowed = f"ulimit -{letter} {limit // 1024}"
                 raise MemoryError(
                     f"too little memory for the solvers: {allowed}; allow 3 GB or more, or no limit"

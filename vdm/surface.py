@@ -8,10 +8,9 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from solver_common.arrays import Array, Index, Mask
-from solver_common.solid_angles import solid_angles
+from solver_common.closed_surfaces import closed_pieces, solid_angles
 
 # A facet whose height is below this share of its longest edge has no usable normal in double precision.
 FLAT_FACET = 1e-12
@@ -311,16 +310,14 @@ def _shells(points: Array, triangles: Index, corners: Array, vectors: Array) -> 
     SurfaceError
         a piece that is not within the outer one alone, or not turned to the inside of its cavity.
     """
-    ends = triangles[:, :2].ravel(), triangles[:, 1:].ravel()
-    links = sparse.coo_array((np.ones(len(ends[0])), ends), shape=(len(points), len(points)))
-    count, of_node = connected_components(links, directed=False)
-    piece = np.asarray(of_node[triangles[:, 0]], np.int64)
+    piece = closed_pieces(triangles)
+    count = int(piece.max()) + 1
     if count == 1:
         return piece
     volumes = np.bincount(piece, np.einsum("fi,fi->f", corners, vectors), count)
     outer = int(np.argmax(volumes))
     for k in np.flatnonzero(np.arange(count) != outer):
-        place = points[[int(np.argmax(of_node == k))]]
+        place = points[triangles[np.argmax(piece == k), :1]]
         if volumes[k] > 0.0 or np.round(solid_angles(place, points, triangles[piece != k]))[0] != 1.0:
             raise SurfaceError(
                 f"the surface has {count} components that do not bound one body; keep one, or turn the facets of "

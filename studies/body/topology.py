@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
-from solver_common.solid_angles import solid_angles
+from solver_common.closed_surfaces import solid_angles
 
 from ..study.errors import MeshError
 from .mesh import Mesh

@@ -135,8 +135,9 @@ def beyond_memory(plan: Plan, work: Sequence[Body], doubt: float = MEMORY_DOUBT)
     """Mesh -> what cannot be solved on it: it takes more than `doubt` times the memory of this machine."""
     there = machine_memory()
     lines = {}
-    for body in sorted(work, key=lambda body: _held(plan, body)):  # of a mesh the one that takes the most
-        mesh, needed = plan.meshes[body.mesh], _held(plan, body)
+    held = [(_held(plan, body), body) for body in work]
+    for needed, body in sorted(held, key=lambda pair: pair[0]):  # of a mesh the one that takes the most
+        mesh = plan.meshes[body.mesh]
         known = expected_mesh(plan, mesh)
         if known is not None and needed > doubt * there:
             remedy = fewer_nodes(mesh.geometry, float((known.high - known.low).max()))

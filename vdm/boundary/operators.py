@@ -31,9 +31,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg, sparse
 from scipy.linalg import blas, lapack
-from scipy.sparse.csgraph import connected_components
 
 from solver_common.arrays import Array, Index
+from solver_common.closed_surfaces import closed_pieces
 from vdm.boundary.kernels import (
     add_layers,
     add_own_transposed,
@@ -253,13 +253,9 @@ def _stiffen(single: Array, facets: Facets) -> None:
     S then sees a change of volume. What is pressed on one surface inside another moves nothing around it: of those
     S sees nothing.
     """
-    triangles = facets.triangles
-    ends = triangles[:, :2].ravel(), triangles[:, 1:].ravel()
-    links = sparse.coo_array((np.ones(len(ends[0])), ends), shape=(len(facets.points),) * 2)
-    piece = connected_components(links, directed=False)[1]
     ger = blas.get_blas_funcs("ger", (single,))
-    pieces = piece[triangles[:, 0]]
-    for one in np.unique(pieces):
+    pieces = closed_pieces(facets.triangles)
+    for one in range(pieces.max() + 1):
         pressure = np.zeros((facets.n_tractions, 3))
         on = pieces == one
         np.add.at(pressure, facets.numbers[on], (facets.areas[:, None] * facets.normals)[on])

@@ -9,11 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
 from solver_common.arrays import Array, Index, Mask
-from solver_common.solid_angles import solid_angles
+from solver_common.closed_surfaces import closed_pieces, solid_angles
 from vdm.parts.caps import CutError, cap, nearest
 
 # places of the plane that are tried, as a share of the area beside the middle
@@ -190,14 +188,8 @@ def _loops(triangles: Index, labels: Mask, n: int) -> tuple[list[Index], Mask]:
 
 def _bodies(points: Array, triangles: Index) -> list[Index]:
     """The facets (F, 3) by body: closed outer surfaces, each with the walls of the cavities in it."""
-    nodes, local = np.unique(triangles, return_inverse=True)
-    local = local.reshape(-1, 3)
-    links = sparse.coo_array(
-        (np.ones(2 * len(local)), (local[:, [0, 1]].T.ravel(), local[:, [1, 2]].T.ravel())),
-        shape=(len(nodes),) * 2,
-    )
-    number, of = connected_components(links, directed=False)
-    pieces = [triangles[of[local[:, 0]] == k] for k in range(number)]
+    of = closed_pieces(triangles)
+    pieces = [triangles[of == k] for k in range(of.max() + 1)]
     bodies = [piece for piece in pieces if volume(points, piece) > 0.0]
     for wall in (piece for piece in pieces if volume(points, piece) <= 0.0):
         around = [

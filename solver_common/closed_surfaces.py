@@ -1,4 +1,4 @@
-"""Whether a place lies inside a closed surface."""
+"""The pieces of a closed surface, and whether a place lies inside it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,18 @@ import numpy as np
 from solver_common.arrays import Array, Index
 
 _ROWS = 512  # of places, taken at once
+
+
+def closed_pieces(triangles: Index) -> Index:
+    """(F,) the connected piece of each facet, numbered from 0 without a gap."""
+    from scipy import sparse  # slow to load, and who only reads a mesh finds no pieces here
+    from scipy.sparse.csgraph import connected_components
+
+    nodes, local = np.unique(triangles, return_inverse=True)
+    local = local.reshape(-1, 3)
+    ends = local[:, :2].ravel(), local[:, 1:].ravel()
+    links = sparse.coo_array((np.ones(len(ends[0])), ends), shape=(len(nodes),) * 2)
+    return np.asarray(connected_components(links, directed=False)[1][local[:, 0]], np.int64)
 
 
 def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
