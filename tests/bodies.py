@@ -1,10 +1,11 @@
-"""Bodies for tests, by their keys."""
+"""Bodies for tests, by their keys, and the models that tests of what acts on a body go through."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from vdmbench.models import all_models
 from vdmbench.study.shapes import Geometry
 
 
@@ -12,3 +13,16 @@ def shaped(shape: str, mesh_size: float, keys: Mapping[str, Any]) -> Geometry:
     """The [geometry] of these keys; a mesh size of 0 is left out."""
     size = {"mesh_size": mesh_size} if mesh_size else {}
     return Geometry.model_validate({"shape": shape, **size, **keys})
+
+
+def telling_names() -> list[str]:
+    """Every model by its first solver, and by one of each kind that comes to its load on a way of its own.
+
+    Others have operator and load from these; `tests/vdm/test_vdm_solvers.py` holds them together.
+    """
+    kinds = ("plain", "quasi-linear", "nonlinear", "incremental", "figure-8", "bicg")
+    return [
+        name
+        for model in all_models().values()
+        for name in (model.name, *(f"{model.name}:{solver}" for solver in model.solvers if solver in kinds))
+    ]

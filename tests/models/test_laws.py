@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fem_reference.materials import PARAMETERS
+from tests.bodies import telling_names
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
@@ -93,7 +94,7 @@ def test_at_small_strain_they_are_one(box: Mesh, law: str) -> None:
     assert_allclose(found[0], found[1], rtol=0, atol=1e-4 * np.abs(found[1]).max())
 
 
-@pytest.mark.parametrize("name", models.model_names())
+@pytest.mark.parametrize("name", telling_names())
 def test_other_models_of_large_displacements_refuse_it_by_name(box: Mesh, name: str) -> None:
     if is_linear(name) or name in ("fem", "fem:linear"):
         return

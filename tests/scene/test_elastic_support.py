@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from solver_common.quadrature import facet_quadrature
-from tests.bodies import shaped
+from tests.bodies import shaped, telling_names
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
@@ -41,7 +41,6 @@ BASE: dict[str, Any] = {
     ],
 }
 
-SAME = [f"{model.name}:{model.solvers[0]}" for model in models.all_models().values()]
 SCALAR = ["vdm-paper", "vdm-consistent"]  # whose nodes move along normals only
 FULL = [
     *("vdm-vector", "bem", "mass-spring"),
@@ -78,7 +77,7 @@ def answer(mesh: Mesh, name: str, *parts: dict[str, Any], **tables: Any) -> Mode
 
 
 @pytest.mark.parametrize("direction", ["normal", "full"])
-@pytest.mark.parametrize("name", [name for name in models.model_names() if name not in SAME])
+@pytest.mark.parametrize("name", telling_names())
 def test_every_model_balances_it_or_refuses_it_by_name(box: Mesh, name: str, direction: str) -> None:
     model, solver = models.find(name)
     result = answer(box, name, BED | {"direction": direction})

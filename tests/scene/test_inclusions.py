@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.bodies import telling_names
 from tests.example_case import asked, example_case
 from tests.fem.shapes import cube
 from vdmbench import models
@@ -144,7 +145,7 @@ def test_a_lump_that_touches_is_refused(lumps: list[dict[str, Any]], told: str) 
     assert "\n" not in refused.message
 
 
-@pytest.mark.parametrize("name", [name for name in models.model_names() if name not in KNOWING])
+@pytest.mark.parametrize("name", [name for name in telling_names() if name not in KNOWING])
 def test_others_are_refused_by_name_or_leave_it_out(bar: Mesh, name: str) -> None:
     if models.find(name)[1] in models.find(name)[0].takes.get("inclusions", ()):
         return  # another name of one that knows them

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fem_reference.exact_contact import Hertz
+from tests.bodies import telling_names
 from tests.fem.shapes import mapped_box
 from tests.in_process import do_cases
 from vdmbench import models
@@ -125,7 +126,7 @@ def test_sphere_on_a_half_space_by_a_study(tmp_path: Path) -> None:
 # --- shapes, places and models ---
 
 
-@pytest.mark.parametrize("name", models.model_names())
+@pytest.mark.parametrize("name", telling_names())
 def test_every_model_takes_it_or_refuses_it_by_name(box: Mesh, name: str) -> None:
     model, solver = models.find(name)
     if f"{model.name}:{model.solvers[0]}" == name:

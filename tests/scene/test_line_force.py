@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from tests.bodies import telling_names
 from vdm.constraints import ConstraintError, Load
 from vdm.model import Model
 from vdmbench import models
@@ -127,7 +128,7 @@ def firsts() -> dict[tuple[str, bool], ModelResult]:
 
 
 @pytest.mark.parametrize("tables", [{}, TRACTION], ids=["line", "traction"])
-@pytest.mark.parametrize("name", models.model_names())
+@pytest.mark.parametrize("name", telling_names())
 def test_every_model_balances_it_or_refuses_it_by_name(
     box: Mesh, firsts: dict[tuple[str, bool], ModelResult], name: str, tables: dict[str, Any]
 ) -> None:
