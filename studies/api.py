@@ -121,7 +121,6 @@ def run(
     cache: str | Path | None = None,
     jobs: int | None = None,
     fresh: bool = False,
-    allow_outside: bool = False,
     watch: Callable[[Event], None] = lambda _: None,
     **overrides: Any,
 ) -> Results:
@@ -130,7 +129,7 @@ def run(
     Parameters
     ----------
     study : path of a study file, or the name of a shipped one
-    surface, out, cache, jobs, fresh, allow_outside : as the options of `vdmbench run`
+    surface, out, cache, jobs, fresh : as the options of `vdmbench run`
     watch : is given each event of the run
     overrides : tables of the study with the keys to change: `tissue={"youngs_modulus": "3 kPa"}`,
         `constraints={"finger": {"force": "0.2 N"}}`; None drops a key
@@ -150,7 +149,7 @@ def run(
 
     path = study_path(study)
     body = Path(surface) if surface is not None else None
-    found = load_study(path, allow_outside=allow_outside, surface=body, changes=[overrides])
+    found = load_study(path, surface=body, changes=[overrides])
     directory = Path(out) if out is not None else results_directory() / "runs" / found.study.name
     place = Path(cache) if cache is not None else cache_directory()
     plan = make_plan(found, expand(found), directory, place, fresh=fresh)

@@ -55,7 +55,7 @@ BEHIND = {
     "gmsh": {"studies/body/geometry.py", "studies/body/mesh_file.py"},
     "h5py": {"studies/store/hdf5.py"},
     "meshio": {"studies/body/mesh_file.py"},
-    "pyvista": {"studies/body/remesh.py", "studies/report/scene_window.py"},
+    "pyvista": {"studies/body/remesh.py"},
     "distributed": {"studies/work/cluster.py"},
     "pyacvd": {"studies/body/remesh.py"},
     "trimesh": {"studies/body/mesh_file.py"},

@@ -65,7 +65,7 @@ def ran_text(
         path.write_text(text, encoding="utf-8")
         for data in CASES.glob("*.csv"):
             (Path(folder) / data.name).write_bytes(data.read_bytes())
-        given = ["--surface", surface, "--allow-outside"] if surface else []
+        given = ["--surface", surface] if surface else []
         finished("run", path, *given, "--out", runs / name, "--jobs", "1", codes=codes)
     return read_run(runs / name)
 

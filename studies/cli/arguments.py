@@ -197,7 +197,6 @@ STUDY_READS = (
         metavar="FILE",
         help="use this surface (STL, OBJ, PLY, VTP) as the geometry; names the study NAME-FILE",
     ),
-    flag("--allow-outside", "allow files outside the study file's directory"),
     option(
         "--cache",
         type=directory,

@@ -25,7 +25,7 @@ def load(options: argparse.Namespace) -> tuple[Study, Path]:
 
     path = study_path(options.study)
     changes = [changes_of(change) for change in vars(options).get("changes", [])]
-    study = load_study(path, allow_outside=options.allow_outside, surface=options.surface, changes=changes)
+    study = load_study(path, surface=options.surface, changes=changes)
     return study, path
 
 
@@ -98,8 +98,6 @@ def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
     for key in ("surface", "out"):
         if given.get(key):
             words += [f"--{key}", _name(given[key])]
-    if given["allow_outside"]:
-        words.append("--allow-outside")
     for change in given.get("changes", []):
         key, _, value = change.partition("=")
         words += ["--set", f"{key}={short_path(value)}"]

@@ -15,7 +15,7 @@ MORE = (
     "Of a run directory: its tables (CSV, LaTeX), figures (SVG) and a mesh per case (VTU) with what each model "
     "answers at full load. Lengths in a mesh are in metres; those of a body from a file are in its own unit, so "
     "that the mesh lies on the scan. Of a study: one case at its largest load, as a mesh with regions (VTU, MSH), "
-    "supports and loads (JSON, CSV), and scenes for SOFA, FEBio and MuJoCo, all in metres, newtons and pascals."
+    "supports and loads (JSON), and scenes for SOFA, FEBio and MuJoCo, all in metres, newtons and pascals."
 )
 ARGUMENTS = (
     study_argument(", or a run directory"),

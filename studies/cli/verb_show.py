@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .arguments import CASE, CHANGES, STUDY_READS, flag, option, output_file, study_argument
-from .output import OK, UsageError, print_json
+from .arguments import CASE, CHANGES, STUDY_READS, option, output_file, study_argument
+from .output import OK, print_json
 from .studies import load, make_plan, numbered_case
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ ARGUMENTS = (
         metavar="PNG",
         help="the picture (default NAME-scene.png in this directory)",
     ),
-    flag("--window", "open it in a window too, to turn it"),
     CASE,
 )
 
@@ -34,11 +33,8 @@ def run(options: argparse.Namespace) -> int:
     """Mesh the surface, put the scene on it, draw it."""
     from ..machine import write_atomically
     from ..report.scene_picture import Stage, scene_png
-    from ..report.scene_window import has_display, scene_plotter
     from ..report.section_scene import outlines_of, parts_of, scene_words
 
-    if options.window and not has_display():
-        raise UsageError("--window: there is no display here; the picture of --save shows the same")
     study, _ = load(options)
     plan = make_plan(study, options)
     case = _unsolved(plan, numbered_case(plan, options.case))
@@ -49,8 +45,6 @@ def run(options: argparse.Namespace) -> int:
     parts = parts_of(case, [case])
     stage = Stage(case.points, case.triangles, parts, outlines_of(case))
     write_atomically(path, scene_png(stage, told, title=title))
-    if options.window:
-        scene_plotter(case.points, case.triangles, parts, title=title).show()
     if options.json:
         return print_json({"picture": str(path), "scene": dict(words)})
     for line in told:

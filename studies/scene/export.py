@@ -1,4 +1,4 @@
-"""A scene at one load as files that other programs read: mesh, tables, and scenes for SOFA, FEBio and MuJoCo.
+"""A scene at one load as files that other programs read: mesh, JSON, and scenes for SOFA, FEBio and MuJoCo.
 
 The scenes are of linear tetrahedra, each a template; all is in metres, newtons and pascals.
 """
@@ -133,7 +133,9 @@ def write_scene(body: Handout, out: Path) -> tuple[list[str], list[str]]:
     write_body_vtu(out / "mesh.vtu", mesh, fields, body.facet_pressure)
     write_body_msh(out / "mesh.msh", mesh, on_facets)
     why_not = cannot_express(body, TAKES)
-    texts = tables(body) | ({} if why_not else {name: scene_text(body, name) for name in SCENES})
+    texts = {"scene.json": scene_json(body)} | (
+        {} if why_not else {name: scene_text(body, name) for name in SCENES}
+    )
     for name, text in texts.items():
         write_atomically(out / name, text.encode())
     refused = [f"{name}: not written: {program}: {why_not}" for name, program in SCENES.items() if why_not]
@@ -208,16 +210,7 @@ def remarks(body: Handout) -> list[str]:
     return told
 
 
-# --- tables, for a program that has no scene of its own here ---
-
-
-def tables(body: Handout) -> dict[str, str]:
-    """File -> text: the scene, its held points and where they go, its loaded ones without their weight."""
-    return {
-        "scene.json": scene_json(body),
-        "supports.csv": _csv(body, body.held, "displacement", "m", body.displacement),
-        "forces.csv": _csv(body, np.any(body.force, axis=1), "force", "N", body.force),
-    }
+# --- for a program that has no scene of its own here ---
 
 
 def scene_json(body: Handout) -> str:
@@ -268,21 +261,6 @@ def scene_json(body: Handout) -> str:
 
 
 def left_out(body: Handout) -> list[str]:
-    """What the tables have no words for."""
+    """What the JSON has no words for."""
     known = TAKES | {"normal springs", "full springs", "inclusions"}
     return [*sorted(set(body.scene.extras) - known), *(["fibres"] if body.scene.anisotropy else [])]
-
-
-def _csv(body: Handout, mask: Mask, what: str, unit: str, values: Array) -> str:
-    """Rows by point; `node` counts the surface nodes, as in a file for `compare --result`."""
-    head = [
-        "point",
-        "node",
-        *(f"{axis} [m]" for axis in "xyz"),
-        *(f"{what}_{axis} [{unit}]" for axis in "xyz"),
-    ]
-    rows = [
-        [k, int(body.surface_number[k]), *body.mesh.points[k].tolist(), *values[k].tolist()]
-        for k in np.flatnonzero(mask).tolist()
-    ]
-    return "\n".join([",".join(head), *(",".join(map(repr, row)) for row in rows), ""])

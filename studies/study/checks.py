@@ -284,7 +284,6 @@ def _check_acceptance(study: Study) -> Iterator[Finding]:
 # --- regions and inclusions ---
 
 
-_MOST_PARTS, _DEEPEST = 1000, 50  # regions that one region may be made of, and levels of them
 _ONE_OF = "below, above, ball, box, cap, group, all, any, not, cavity"
 
 
@@ -299,9 +298,6 @@ def _check_regions(study: Study) -> Iterator[Finding]:
             yield from _check_region(part, loc, regions)
         if name in _reached(name, regions):
             yield ("regions", name), "refers to itself, directly or through other regions"
-        elif _is_too_large(region, regions):
-            text = f"is made of more than {_MOST_PARTS} regions, or more than {_DEEPEST} levels"
-            yield ("regions", name), text
     yield from _check_groups(study)
     yield from _check_coordinates(study)
 
@@ -392,20 +388,6 @@ def _reached(name: str, regions: dict[str, Region]) -> set[str]:
                 reached.add(part)
                 todo.append(regions[part])
     return reached
-
-
-def _is_too_large(region: Region, regions: dict[str, Region]) -> bool:
-    """Whether working out a region takes too many steps: doubling thirty times over fits in a small file."""
-    count = 0
-    todo: list[tuple[Region, int]] = [(region, 1)]
-    while todo:
-        whole, depth = todo.pop()
-        count += 1
-        if count > _MOST_PARTS or depth > _DEEPEST:
-            return True
-        parts = (part if isinstance(part, Region) else regions.get(part) for _, part in _parts(whole))
-        todo += [(part, depth + 1) for part in parts if part is not None]
-    return False
 
 
 def _check_inclusions(study: Study) -> Iterator[Finding]:

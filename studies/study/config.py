@@ -41,7 +41,6 @@ _LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
 def load_study(
     path: Path,
     *,
-    allow_outside: bool = False,
     surface: Path | None = None,
     changes: Sequence[Mapping[str, Any]] = (),
 ) -> Study:
@@ -50,7 +49,6 @@ def load_study(
     Parameters
     ----------
     path : the study file, TOML in UTF-8 (a byte order mark is passed over)
-    allow_outside : whether the study may name files outside its own directory
     surface : a mesh file to use as the geometry, wherever it lies; `mesh_size` and the largest extent `size` of
         the study are kept, its name is followed by the file's
     changes : nested tables of what to change in it, one after the other (`files.merged`)
@@ -65,12 +63,10 @@ def load_study(
     data, source = _parse(_read_text(path), str(path))
     for change in changes:
         data = merged(data, change)
-    directory = path.parent.resolve()
-    source = replace(source, directory=directory, allow_outside=allow_outside)
+    source = replace(source, directory=path.parent.resolve())
     if surface is not None:
         data["geometry"] = _surface_geometry(data.get("geometry"), surface)
         _name_after(surface, data.get("study"))
-        source = replace(source, trusted=surface.absolute())
     axes, findings = read_axes(data)
     base = first_case(data, axes)
     study, faults = validate(base, source)

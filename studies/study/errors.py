@@ -84,8 +84,6 @@ class Source:
     path: str = field(default="study", compare=False)
     lines: Mapping[Loc, int] = field(default_factory=dict, compare=False)
     directory: Path | None = field(default=None, compare=False)
-    allow_outside: bool = field(default=False, compare=False)
-    trusted: Path | None = field(default=None, compare=False)  # typed by the user, may lie anywhere
 
     def line(self, loc: Loc) -> int:
         """The line of a key, or of the innermost table around it that the file has."""
@@ -98,15 +96,9 @@ class Source:
         """The absolute path of a file that the study names. Raises ValueError with a sentence."""
         if self.directory is None:
             return Path(path)
-        name = shown(str(path), 200)
-        fault = file_fault(self.directory / path)
-        if fault:
-            raise ValueError(f"{name} {fault}")
-        found = (self.directory / path).resolve()
-        trusted = self.allow_outside or (self.trusted is not None and found == self.trusted.resolve())
-        if not trusted and not found.is_relative_to(self.directory):
-            raise ValueError(f"{name} is outside the study's directory; move it there or use --allow-outside")
-        return found
+        if fault := file_fault(self.directory / path):
+            raise ValueError(f"{shown(str(path), 200)} {fault}")
+        return (self.directory / path).resolve()
 
     def error(self, findings: Sequence[Finding], data: Mapping[str, Any]) -> StudyError:
         """The error for these findings about `data`, in the file's order, each once, the first `MOST_TOLD`."""

@@ -33,7 +33,7 @@ def test_no_stored_file_names_the_folder_of_a_surface_of_the_study(tmp_path: Pat
     sphere = ('shape = "sphere"\nradius = "50 mm"', f"shape = 'file'\npath = '{surface}'")
     sweep = ("[load]", f"[sweep]\n\"geometry.path\" = ['{surface}', '{other}']\n[load]")
     write_study(work, a=MODELS, b=REFERENCE, c=sphere, d=sweep)
-    result = vdmbench("run", "small.toml", "--allow-outside", cwd=work)
+    result = vdmbench("run", "small.toml", cwd=work)
     assert result.returncode == 0, result.stderr
     _assert_nobody_is_named(work / "results")
     (directory,) = (work / "results/runs").iterdir()

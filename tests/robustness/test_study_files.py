@@ -190,11 +190,6 @@ def test_a_file_that_cannot_be_parsed_is_told(path: Path, content: bytes | str, 
     assert fails(path, content).startswith(message)
 
 
-def test_a_deep_region_is_told(path: Path) -> None:
-    text = tomli_w.dumps({**BASE, "sweep": {}}) + "[regions.deep]\nnot = "
-    assert "made of more than" in fails(path, text + "{ not = " * 55 + "'base'" + " }" * 55)
-
-
 @pytest.mark.parametrize("mistakes", [21, 20_000])
 @pytest.mark.parametrize(
     ("table", "line"),

@@ -146,10 +146,10 @@ side, 1000, 0, 0, 0.5, 0.001, 200, 0.5,
 CURVE = "depth [mm], force [mN], uncertainty [mN]\n50, 3000, 100\n100, 9000, 200\n"
 
 
-def load(directory: Path, text: str, *, allow_outside: bool = False) -> Study:
+def load(directory: Path, text: str) -> Study:
     path = directory / "study.toml"
     path.write_text(text, encoding="utf-8")
-    return load_study(path, allow_outside=allow_outside)
+    return load_study(path)
 
 
 def problems(directory: Path, text: str) -> list[tuple[int, str, str]]:
