@@ -109,7 +109,9 @@ class Facets:
         centres = corners.mean(axis=1)
         radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
         longest = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1)
-        return corners, self.triangles, self.normals, self.areas, centres, radii, longest / (2.0 * self.areas)
+        triangles = self.triangles.view()
+        triangles.setflags(write=False)  # always: else it is compiled for either, 10 s each
+        return corners, triangles, self.normals, self.areas, centres, radii, longest / (2.0 * self.areas)
 
     def curls(self) -> Array:
         """(F, 3, 3) `n x grad` of each corner's shape function [1/m]: the opposite edge over twice the area."""
