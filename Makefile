@@ -45,7 +45,6 @@ baselines: setup
 # ARGS are the table's own: a liver.obj for accuracy, ratios, untuned, parts, performance; studies for error_bars, scenes
 evidence: setup
 	@test -n "$(WHAT)" || { echo 'say what: make evidence WHAT=claims'; exit 2; }
-	$(if $(filter fem_speed,$(WHAT)),$(RUN)pip install --quiet --constraint constraints.txt --editable '.[benchmark]')
 	$(if $(filter league measured,$(WHAT)),$(PIP) --quiet ./docs/examples)
 	$(ONE_THREAD) $(RUN)python -m tools.evidence $(WHAT) $(ARGS)
 

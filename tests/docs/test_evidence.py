@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 
 from tests.example_case import example_measurement
 from tests.report.runs import make_case, make_run
-from tools import anchors, error_bars, evidence, mutants, speed, trial, untuned
+from tools import error_bars, evidence, mutants, trial, untuned
 from tools.documents import CASES, README, ROOT, cells, rows_shown, shown
 from tools.evidence import EVIDENCE, MEASURES
 from vdmbench.study.config import expand, load_study
@@ -38,15 +38,6 @@ def assert_shown(found: list[str], old: list[str]) -> None:
 def all_rows(name: str) -> list[list[str]]:
     """The rows of a table in its CSV file."""
     return list(csv.reader((ROOT / EVIDENCE[name]["all_rows"]).read_text(encoding="utf-8").splitlines()))[1:]
-
-
-def test_a_small_command_gives_the_rows_that_are_shown() -> None:
-    """The coarsest mesh of each exact answer."""
-    there = {tuple(row[:3]): row for row in all_rows("anchors")}
-    for anchor in anchors.ANCHORS:
-        nodes, error = anchors.errors(anchor, anchor.meshes[0])
-        row = there[anchor.name, f"{anchor.poisson_ratio:g}", str(nodes)]
-        assert_shown([" / ".join(f"{100.0 * e:.2g}" for e in pair) for pair in error], [row[3], row[5]])
 
 
 @pytest.mark.slow
@@ -166,7 +157,6 @@ def test_what_is_shown_is_made_of_all_rows() -> None:
     assert evidence.over_bodies(all_rows("ratios")) == there("ratios")
     assert evidence.accuracy_shown(all_rows("accuracy"))[1] == there("accuracy")
     assert cells(untuned.by_body(all_rows("untuned")))[1:] == there("untuned")
-    assert anchors.finest(all_rows("anchors")) == there("anchors")
     assert all_rows("parts") == there("parts")
     assert trial.summed_up(all_rows("parts")) == shown(ROOT / EVIDENCE["parts"]["document"], "trial-sum")
     assert there("performance")[-1] == next(
@@ -220,17 +210,6 @@ def test_the_table_of_a_measurement_is_that_of_the_page() -> None:
         "as_given": 2e-3,
     }
     assert cells(evidence.fits([one]))[1] == ["a", "none in range", "1.00 mm", "–"]
-
-
-def test_a_small_benchmark_has_the_kinds_of_lines_of_the_readme() -> None:
-    small = speed.Sizes(levels=2, fine_levels=2, tori=((12, 8),), contact=5, repeats=3, slow_repeats=2)
-
-    def kind(what: str) -> str:
-        return re.sub(r"\d[\d.e+-]*", "", what)
-
-    rows = list(speed.rows_of(small))
-    assert all(re.fullmatch(r"[\d.e+-]+ m?s", median) for _, _, median in rows)
-    assert {kind(row[0]) for row in rows_shown(speed.README, speed.PART)} == {kind(row[0]) for row in rows}
 
 
 @pytest.mark.parametrize("mutant", mutants.MUTANTS, ids=lambda mutant: mutant.old[:30])
