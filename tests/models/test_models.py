@@ -51,6 +51,7 @@ def firsts() -> dict[str, ModelResult]:
     [
         pytest.param(name, marks=pytest.mark.slow) if name == "fem:plain" else name
         for name in models.model_names()
+        if not any(name == f"{model.name}:{model.solvers[0]}" for model in models.all_models().values())
     ],
 )
 def test_every_name_runs(scene: Scene, firsts: dict[str, ModelResult], name: str) -> None:

@@ -24,7 +24,6 @@ def model(**options) -> Model:
     return Model(POINTS, TRIANGLES, RULE, formulation="vector", fixed=BASE, **options)
 
 
-@pytest.mark.parametrize("solver", ["linear", "nonlinear"])
 @pytest.mark.parametrize(
     ("part", "value", "words"),
     [
@@ -50,8 +49,8 @@ def model(**options) -> Model:
         ),
     ],
 )
-def test_a_load_that_is_none(part, value, words, solver, monkeypatch):
-    body = model(solver=solver)
+def test_a_load_that_is_none(part, value, words, monkeypatch):
+    body = model()
     monkeypatch.setattr(body.solver, "step", lambda *_: pytest.fail("solved"))
     with pytest.raises(ConstraintError, match=words):
         body.solve([ZERO, replace(ZERO, **{part: value})])

@@ -310,7 +310,7 @@ SINGULAR = [
 ]
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", ["linear", "lu", "nonlinear"])
 @pytest.mark.parametrize(("formulation", "parameters", "held", "remedy"), SINGULAR)
 def test_nothing_held_where_the_operator_needs_it(formulation, parameters, held, remedy, solver, monkeypatch):
     def assembled(*_):
