@@ -89,11 +89,12 @@ class Results:
         )
 
     def _repr_html_(self) -> str:
-        """The headline table, the verdicts and the way to the report, for a notebook."""
-        from .report.headline import headline_rows
+        """The table of the terminal, the verdicts and the way to the report, for a notebook."""
+        from .report.headline import terminal_rows
+        from .verdict.digest import digest_of
         from .verdict.words import told
 
-        rows = headline_rows(self.data)
+        rows = terminal_rows(digest_of(self.data))
         head = "".join(f"<th>{escape(key)}</th>" for key in (rows[0] if rows else {}))
         body = "".join(
             "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row.values()) + "</tr>" for row in rows

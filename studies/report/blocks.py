@@ -200,12 +200,11 @@ class Viewer:
 
 @dataclass(frozen=True)
 class Scene:
-    """A drawing of what was computed, the same in words as (what, value), a sentence, and how a scan was moved."""
+    """A drawing of what was computed, the same in words as (what, value), and a sentence."""
 
     svg: Markup
     words: Sequence[tuple[str, str]]
     note: str = ""
-    moved: Still | None = None
 
 
 Block = Text | Table | Figures | Code | Facts | Viewer

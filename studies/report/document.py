@@ -6,8 +6,8 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
@@ -18,7 +18,6 @@ from matplotlib.colors import to_hex
 
 from ..verdict.words import BESIDE, Told
 from .blocks import Scene, Section, Table, Viewer
-from .headline import FamilyRow
 from .picture import COLOUR_MAPS
 from .plots import shape
 from .svg import MARKER_PATHS
@@ -30,10 +29,10 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 @dataclass(frozen=True)
 class Head:
-    """What stands above the sections: a row a family, what is said of them, two tables and the scene."""
+    """What stands above the sections: what is said of the families, colours of models, tables, the scene."""
 
     told: Told
-    families: Sequence[FamilyRow] = ()
+    colours: Mapping[str, int] = field(default_factory=dict)  # model -> place
     take: Table | None = None
     limits: Table | None = None
     scene: Scene | None = None
@@ -63,7 +62,7 @@ def html_document(
         .render(
             title=title,
             name=name,
-            families=head.families,
+            colours=head.colours,
             told=head.told,
             further=[answer for answer in head.told.further if answer.question not in BESIDE],
             take=head.take,

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.registry import Family
 from ..verdict.advice import Advice, Figures
-from ..verdict.digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, Spread, digest_of
+from ..verdict.digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, Spread, digest_of, median_known
 from ..verdict.formatting import (
     NOTHING,
+    capital,
     exact_percent,
     measure,
     percent,
     plural,
     quantity,
-    with_bar,
 )
 from ..verdict.verdict import Limit, Verdict, Verdicts
 from ..verdict.words import TITLES, said, to_do, why_not
@@ -25,40 +25,6 @@ from .blocks import Cell, Field, Section, Table, Text, frame_table, spread_cell
 from .section_cost import time_notes
 
 TONES = {"yes": "good", "no": "bad", "not judged": "muted"}
-
-
-# --- the rows of the families ---
-
-
-class FamilyRow(NamedTuple):
-    """A family on the page: its name, the word, the model that decides and its numbers, or a text instead."""
-
-    title: str
-    word: str
-    model: str
-    colour: int | None
-    numbers: tuple[str, ...]
-    text: str
-
-
-def family_rows(verdicts: Verdicts, digest: Digest) -> list[FamilyRow]:
-    """A line a family that the study compares."""
-    return [_family_row(one, verdicts, digest) for one in verdicts.asked]
-
-
-def _family_row(one: Verdict, verdicts: Verdicts, digest: Digest) -> FamilyRow:
-    title, model, lead = TITLES[Family(one.family)], one.model, one.lead
-    colour = digest.colour(model) if model else None
-    if not model or one.same or lead is None:
-        text = " ".join(said("row", one, verdicts)).removeprefix(f"{model}: ")
-        return FamilyRow(title, one.word, model, colour, (), text)
-    frame = f"{quantity(one.cost.frame, 's', 2)} a frame" if one.cost and one.cost.frame > 0 else ""
-    second = f"change of shape {exact_percent(lead.deformation)}" if math.isfinite(lead.deformation) else ""
-    if one.judged > 1:
-        second = f"{one.within} of {one.judged} cases within {' '.join(said('within', one))}"
-        second += f", {one.undecided} undecided" if one.undecided else ""
-    numbers = (f"{lead.name} {with_bar(lead.value, lead.bar)}", second, frame)
-    return FamilyRow(title, one.word, model, colour, numbers, "")
 
 
 # --- what to take instead ---
@@ -80,7 +46,7 @@ def what_to_take(verdicts: Verdicts) -> Table | None:
         return of
 
     fields = [
-        Field("Where", lambda row: Cell("" if row[1] else _sentence(row[0].interaction))),
+        Field("Where", lambda row: Cell("" if row[1] else capital(row[0].interaction))),
         Field("Take", lambda row: " ".join(said("take", row[0], row[1]))),
         Field("Displacement error", number("displacement", "1"), "1"),
         Field("Change of shape", number("deformation", "1"), "1"),
@@ -113,8 +79,8 @@ def against_limits(verdicts: Verdicts, digest: Digest) -> Table | None:
             )
             for one in limits
         ),
-        Field("Up to which load", lambda one: _sentence(" ".join(said("reached", one)))),
-        Field("Why not, and what to do", _why),
+        Field("Up to which load", lambda one: capital(" ".join(said("reached", one)))),
+        Field("Why not, and what to do", lambda one: _why(one, verdicts)),
     ]
     return frame_table(judged, fields, "acceptance", mark=lambda one: digest.colour(one.model), tools=False)
 
@@ -134,12 +100,8 @@ def _limit(limit: Limit) -> Cell:
     return Cell(f"{measure(limit.value, limit.unit)}{bar}", about, limit.value, TONES.get(limit.word, ""))
 
 
-def _why(one: Verdict) -> str:
-    return " ".join(_sentence(text) for text in [*why_not(one), to_do(one)] if text)
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}"
+def _why(one: Verdict, verdicts: Verdicts) -> str:
+    return " ".join(capital(text) for text in [*why_not(one), to_do(one, verdicts)] if text)
 
 
 # --- every model ---
@@ -197,7 +159,7 @@ def _drift(spread: Spread | None) -> Cell | None:
 
 
 def _time(digest: Digest, name: str, seconds: float, *, frame: bool = False) -> Cell | None:
-    cost, everywhere = digest.costs[name], digest.frame_everywhere(name)
+    cost, everywhere = digest.costs[name], digest.costs[name].everywhere
     how = ["iterative"] if frame and cost.iterative else []
     how += [f"{quantity(everywhere, 's')} all nodes"] if frame and math.isfinite(everywhere) else []
     marks = [mark.removesuffix(" run") for mark in cost.marks]
@@ -237,7 +199,9 @@ def terminal_rows(digest: Digest) -> list[dict[str, str]]:
         spreads = {key: digest.spread(name, metric) for key, metric in metrics.items()}
         errors = {key: percent(spread.median) if spread else NOTHING for key, spread in spreads.items()}
         if name == digest.reference:
-            errors = {key: f"± {percent(digest.own_error(metric))}" for key, metric in metrics.items()}
+            errors = {
+                key: f"± {percent(median_known(digest.bars(metric)))}" for key, metric in metrics.items()
+            }
         times = {"set-up": quantity(cost.set_up, "s"), "per frame": quantity(cost.frame, "s")}
         rows.append({"model": name, **(errors if digest.compared else {}), **times})
         further = [{"model": f"  {note}"} for note in _terminal_notes(digest, name)]
@@ -258,22 +222,6 @@ def _terminal_notes(digest: Digest, name: str) -> list[str]:
     return notes + ([f"times: {', '.join(marks)}"] if marks else [])
 
 
-def headline_rows(run: Run) -> list[dict[str, str]]:
-    """One row per model for a notebook: column title -> text; empty where no case is finished."""
-    digest = digest_of(run)
-    if not digest.cases:
-        return []
-    table = _table(digest)
-    titles = [column.title for column in table.columns]
-    return [
-        {
-            title.lower(): " ".join([cell.text, *cell.detail.split("\n")]).strip()
-            for title, cell in zip(titles, row, strict=True)
-        }
-        for row in table.rows
-    ]
-
-
 def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
     """The numbers of the table: model -> measure -> value (median), worst, bars, unit; None for none.
 
@@ -284,7 +232,7 @@ def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
     units = {VECTOR: "1", DEFORMATION: "1", NORMAL: "1", CONTACT: "1", HAUSDORFF: "m", DRIFT: "1"}
     for name, cost in digest.costs.items():
         times = {"seconds_setup": cost.set_up, "seconds_per_step": cost.frame}
-        times["seconds_everywhere"] = digest.frame_everywhere(name)
+        times["seconds_everywhere"] = cost.everywhere
         found[name] = {
             **{
                 metric: _numbers(spread.median, spread.worst, spread.median_bar, spread.worst_bar, unit=unit)

@@ -20,17 +20,14 @@ from .blocks import Section
 from .document import Head, encoded, html_document
 from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
-from .section_convergence import mesh_convergence
 from .section_cost import run_time_against_error
 from .section_errors import error_against_load, error_against_parameters
 from .section_force import force_against_indentation
 from .section_inputs import inputs
 from .section_limits import small_strain_limits
-from .section_map import doubts, map_of_words
 from .section_measurement import against_measurement
 from .section_measures import all_measures
 from .section_scene import scene
-from .section_stability import numerical_stability
 from .section_view import heading, still, surfaces
 
 
@@ -46,8 +43,6 @@ Make = Callable[[Digest], Section | None]
 # files `section_NAME.py` have in their SECTIONS comes before the APPENDIX
 BEFORE: tuple[Make, ...] = (
     headline.headline,
-    map_of_words,
-    mesh_convergence,
     error_against_parameters,
     error_against_load,
 )
@@ -55,12 +50,11 @@ AFTER: tuple[Make, ...] = (
     inputs,
     against_measurement,
     force_against_indentation,
-    numerical_stability,
     small_strain_limits,
     run_time_against_error,
     all_measures,
 )
-APPENDIX: tuple[Make, ...] = (doubts, case_table, failures, provenance, how_to_reproduce)
+APPENDIX: tuple[Make, ...] = (case_table, failures, provenance, how_to_reproduce)
 
 
 @cache
@@ -121,7 +115,7 @@ def _page_html(digest: Digest, *, stills: bool) -> str:
     before, after = _made(digest, BEFORE), _made(digest, _after())
     head = Head(
         told(found),
-        headline.family_rows(found, digest),
+        {name: digest.colour(name) for name in digest.models},
         headline.what_to_take(found),
         headline.against_limits(found, digest),
         scene(digest),

@@ -10,8 +10,11 @@ from ..measures.bars import reference_bar, where_reached
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
+from ..study.registry import Family
 from ..verdict.digest import Digest, failed_steps
 from ..verdict.formatting import listed, parameter_name, percent, plural, swept_value
+from ..verdict.verdict import Verdict, verdicts
+from ..verdict.words import TITLES
 from .blocks import Block, Cell, Field, Section, Text, frame_table
 
 _OPEN_ROWS = 12
@@ -39,6 +42,7 @@ def case_table(digest: Digest) -> Section | None:
             for metric, what in _ERRORS
         ),
     ]
+    fields += [_word(one) for one in verdicts(digest).asked if one.model]
     if digest.compared:
         fields += [Field("Reference's own", _own_error(metric), "1", what) for metric, what in _ERRORS]
     sizes = digest.full_loads(digest.focus or "", VECTOR)
@@ -58,7 +62,7 @@ def case_table(digest: Digest) -> Section | None:
 
 def _swept(digest: Digest, key: str) -> Field:
     """The column of a swept key."""
-    unit = next((case.swept_units.get(key, "1") for case in digest.cases if key in case.swept), "1")
+    unit = digest.unit(key)
     texts = any(isinstance(case.swept.get(key), str) for case in digest.cases)
 
     def value(case: CaseResult) -> Cell | str | None:
@@ -68,6 +72,13 @@ def _swept(digest: Digest, key: str) -> Field:
         return Cell(swept_value(found, unit), value=float(found))
 
     return Field(parameter_name(key), value, "" if texts else "#" if unit == "1" else unit)
+
+
+def _word(one: Verdict) -> Field:
+    """The column of a family's words."""
+    return Field(
+        TITLES[Family(one.family)], lambda case: one.states[case.hash], detail=f"{one.model}, within limits?"
+    )
 
 
 def _own_error(metric: str) -> Callable[[CaseResult], Cell]:

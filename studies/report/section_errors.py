@@ -67,7 +67,7 @@ def error_against_parameters(digest: Digest) -> Section | None:
 
 def error_against_load(digest: Digest) -> Section | None:
     """Both errors step by step, and the volume drift of every model."""
-    if not digest.has_steps:
+    if all(len(case.load_factors) == 1 for case in digest.cases):
         return None
     loaded = digest.table[digest.table["load_factor"] != 0.0]
     axis = _Axis(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from ..verdict.loading import (
     name_of,
     weighs,
 )
-from .blocks import Block, Cell, Field, Figure, Figures, Section, Text, frame_table
+from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Curve, lines
 
 _CONTACT_NOTE = (
@@ -53,43 +53,21 @@ class Push:
 
 
 def force_against_indentation(digest: Digest) -> Section | None:
-    """How stiff the body feels where the key cases push it: a chart of a history, a column of a single load."""
+    """How stiff the body feels where the key cases with a load history push it."""
     figures: list[Figure] = []
-    single: dict[str, Push] = {}
     notes: dict[str, None] = {}
     for role, case in digest.key_cases:
         title = f"{digest.case_name(case)}{f' ({role})' if role else ''}"
-        for push in _pushes(digest, case):
+        for push in _pushes(digest, case) if len(case.load_factors) > 1 else ():
             place = f"{push.name}, {title}" if push.name else title
-            if len(case.load_factors) > 1:
-                figures.append(_drawing(digest, case, push, place, f"f{len(figures)}"))
-            else:
-                single[place] = push
+            figures.append(_drawing(digest, case, push, place, f"f{len(figures)}"))
             notes[push.note] = None
             if weighs(case):
                 notes[_WEIGHT_NOTE] = None
-    if not notes:
+    if not figures:
         return None
-    blocks: list[Block] = [Text(" ".join(notes), kind="note")]
-    blocks += [Figures(figures, digest.legend)] if figures else []
-    if single:
-        fields = [Field("Model", lambda model: model)]
-        fields += [
-            Field(place, _at_load(push), "m", f"{push.length}, {push.load}") for place, push in single.items()
-        ]
-        models = [model for model in digest.models if any(model in push.curves for push in single.values())]
-        blocks.append(frame_table(models, fields, "force", mark=digest.mark))
+    blocks: list[Block] = [Text(" ".join(notes), kind="note"), Figures(figures, digest.legend)]
     return Section("force", "Force against indentation", blocks)
-
-
-def _at_load(push: Push) -> Callable[[str], Cell | None]:
-    def of(model: str) -> Cell | None:
-        if model not in push.curves:
-            return None
-        length, load = (float(values[0]) for values in push.curves[model])
-        return Cell(quantity(length, "m"), quantity(load, push.unit), length)
-
-    return of
 
 
 def _pushes(digest: Digest, case: CaseResult) -> Iterator[Push]:

@@ -49,7 +49,7 @@ def against_measurement(digest: Digest) -> Section | None:
         blocks += [_summary(digest, case, found, number, unit) for unit in _units(found)]
         if figures := list(_figures(digest, case, found, number)):
             blocks.append(Figures(figures, digest.legend))
-        blocks.append(_details(digest, case, found, number))
+        blocks.append(_details(case, found, number))
     known = any(case.measurement is not None and case.measurement.inputs for case in cases)
     told = {"inputs": "", "known": _KNOWN} if known else {"inputs": " or of its inputs", "known": _NOT_KNOWN}
     blocks.append(Text(_READING.format(**told), kind="note"))
@@ -109,7 +109,7 @@ def _summary(digest: Digest, case: CaseResult, found: Measurement, number: int, 
     def frame(name: str) -> float:
         return float(np.median(case.models[name].seconds_per_step)) if name in case.models else math.nan
 
-    names = [name for name in found.simulated if name not in digest.twins]
+    names = list(found.simulated)
     fields = [
         Field("Model", lambda name: Cell(name, "came with the measurement" if name in found.others else "")),
         Field("Within u_val", within, "#"),
@@ -133,7 +133,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt((values**2).mean()))
 
 
-def _details(digest: Digest, case: CaseResult, found: Measurement, number: int) -> Table:
+def _details(case: CaseResult, found: Measurement, number: int) -> Table:
     units = " or ".join(_units(found))
 
     def error(name: str) -> Callable[[int], Cell]:
@@ -158,11 +158,7 @@ def _details(digest: Digest, case: CaseResult, found: Measurement, number: int) 
             detail="at its load factor" if len(case.load_factors) > 1 else "",
         ),
         Field("Measured", measured, units, "± u_D"),
-        *(
-            Field(name, error(name), units, "E ± u_val")
-            for name in found.simulated
-            if name not in digest.twins
-        ),
+        *(Field(name, error(name), units, "E ± u_val") for name in found.simulated),
     ]
     return frame_table(range(len(found.quantities)), fields, f"measured-points-{number}")
 

@@ -30,13 +30,13 @@ def all_measures(digest: Digest) -> Section | None:
     if not rows:
         return None
 
-    def of(model: str | None) -> Any:
+    def of(model: str) -> Any:
         return lambda row: spread_cell(digest.spread(model, row.name), row.unit)
 
     fields = [
         Field("Measure", lambda row: Cell(measure_name(row.name), row.definition)),
         *(Field(model, of(model), "#", "median") for model in digest.compared),
-        Field(str(digest.reference), of(None), "#", "reference"),
+        Field(str(digest.reference), of(str(digest.reference)), "#", "reference"),
     ]
     note = "± is the error of the reference itself, where it was measured. The last column is the reference alone."
     table = frame_table(rows, fields, "measures")

@@ -16,14 +16,12 @@ from ..scene.result import REST_DISTANCE
 from ..study.loads import Constraint
 from ..study.schema import Inclusion
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, plain, plural, quantity, scale_of, short_percent, span
+from ..verdict.formatting import listed, plain, plural, scale_of, short_percent, span
 from ..verdict.loading import kind_of, name_of
-from .blocks import Scene, Still
-from .picture import COLOUR_MAPS, Panel, still_of
+from .blocks import Scene
 from .scene_picture import Outline, Part, Stage, scene_svg, style_of
 
 MOST_STRAIN = 0.1  # within a part, beyond which it is told
-_USUAL = 0.95  # of the nodes of a scan are no further from its surface than is told
 _ALL_ROUND = (
     0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
 )
@@ -40,25 +38,7 @@ def scene(digest: Digest) -> Scene | None:
     svg = scene_svg(stage, alt=alt, salt="scene")
     same = all(np.array_equal(case.points, other.points) for other in digest.cases)
     note = "" if same else f"The picture shows {digest.case_name(case)}."
-    return Scene(svg, words, note, _how_moved(digest.cases))
-
-
-def _how_moved(cases: Sequence[CaseResult]) -> Still | None:
-    """Where remeshing moved the surface of a file, from both sides, of the case that it moved furthest."""
-    known = [(case, case.moved) for case in cases if case.moved is not None]
-    if not known:
-        return None
-    case, moved = max(known, key=lambda one: float(one[1].max()))
-    top, usual = float(moved.max()), float(np.quantile(moved, _USUAL))
-    azimuth = Stage(case.points, case.triangles, parts_of(case, [case])).azimuth
-    about = case.points - (case.points.min(axis=0) + case.points.max(axis=0)) / 2
-    panels = [
-        Panel(points, case.triangles, moved / (top or 1.0), COLOUR_MAPS[1], azimuth, title, top)
-        for points, title in ((about, "from the front"), (about * [-1, -1, 1], "from behind"))
-    ]
-    at_most, share = quantity(usual, "m", 2), short_percent(_USUAL)
-    words = f"Up to {quantity(top, 'm', 2)}; {at_most} or less at {share} of the nodes."
-    return still_of(panels, "Distance between the surface of the file and the mesh", words)
+    return Scene(svg, words, note)
 
 
 def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:

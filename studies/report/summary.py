@@ -9,12 +9,12 @@ from ..measures.case import Run
 from ..verdict.digest import digest_of
 from ..verdict.verdict import verdicts
 from ..verdict.words import told
-from .headline import headline_metrics, headline_rows, terminal_rows
+from .headline import headline_metrics, terminal_rows
 from .section_cases import stopped_models
 
 
 def summary(run: Run) -> dict[str, Any]:
-    """What is done, the headline table, the verdicts; numbers, texts, lists and tables alone."""
+    """What is done, the numbers of every model, the verdicts; numbers, texts, lists and tables alone."""
     digest = digest_of(run)
     found = verdicts(digest)
     return {
@@ -25,7 +25,6 @@ def summary(run: Run) -> dict[str, Any]:
             dict(zip(("model", "where", "message", "remedy"), row, strict=True))
             for row in stopped_models(digest)
         ],
-        "headline": headline_rows(run),
         "metrics": headline_metrics(run),
         "answers": dataclasses.asdict(told(found)),
         "table": terminal_rows(digest),  # of the terminal, which JSON does not show

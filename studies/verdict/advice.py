@@ -10,9 +10,9 @@ from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.registry import Family, family_of, is_surface, model_names, split
 from .acceptance import FRAME_TIME, UNDECIDED, WITHIN, YES
 from .digest import Digest
-from .why_not import COMPRESSIBILITY, MESH, MODEL, REFERENCE, SMALL_STRAIN, TIME, Reason
+from .why_not import LINEAR_ELEMENTS, MESH, MODEL, REFERENCE, SMALL_STRAIN, TIME, Reason
 
-CONDENSED, LINEAR = "fem-condensed", "fem-linear"
+LINEAR, CONDENSED = LINEAR_ELEMENTS[:2]
 RESTING, MOVING, CUTTING, EXACT = (
     "a contact that stays on one region",
     "contacts that move, loads everywhere",
@@ -62,7 +62,6 @@ class NextStep:
 
     kind: str
     take: Figures | None = None
-    value: float = math.nan
     name: str = ""
 
 
@@ -70,48 +69,46 @@ class NextStep:
 
 
 def next_step(digest: Digest, model: str, word: str, why: Sequence[Reason]) -> NextStep:
-    """What to do with this answer."""
+    """What to do with this answer, by its first cause that something can be done about."""
     if word == YES:
         better = _better(digest, model)
         return NextStep("better", figures(digest, better)) if better else NextStep("take it")
     causes = {reason.cause: reason for reason in why}
-    off_anyway = MODEL in causes and _breaks(digest, causes[MODEL])
-    if SMALL_STRAIN in causes and not off_anyway:
-        return _nonlinear(digest, model)
     if word == UNDECIDED and REFERENCE in causes:
-        levels = max((case.reference_error.get("levels", 1.0) for case in digest.cases), default=1.0)
-        return NextStep("levels", value=int(levels) + 1)
-    if COMPRESSIBILITY in causes:
-        return NextStep("ratios", value=causes[COMPRESSIBILITY].numbers["least_ratio"], name=model)
-    if MESH in causes and not off_anyway:
-        return NextStep("finer mesh")
+        return NextStep("levels")
+    if MODEL not in causes or not _breaks(digest, causes[MODEL]):  # else it is off whatever else changes
+        if SMALL_STRAIN in causes:
+            return _nonlinear(digest, model)
+        if MESH in causes:
+            return NextStep("finer mesh")
     others = [name for name in digest.compared if name != model and _within(digest, name)]
     if others:
         quick = min(others, key=lambda name: digest.costs[name].frame)
         return NextStep("another", figures(digest, quick))
-    if causes.keys() == {TIME}:
-        return NextStep("coarser mesh")
-    if SMALL_STRAIN in causes:
-        return NextStep("large elements")
-    return NextStep("elements", name=str(digest.reference))
+    return NextStep("coarser mesh") if causes.keys() == {TIME} else NextStep("elements")
 
 
 def _breaks(digest: Digest, reason: Reason) -> bool:
     """Whether a cause alone is beyond a limit."""
-    return any(reason.numbers.get(c.key, 0.0) > c.allowed for c in digest.limits.criteria)
+    return any(reason.numbers.get(c.key, 0.0) > c.allowed for c in digest.criteria)
 
 
 def _nonlinear(digest: Digest, model: str) -> NextStep:
-    """What to do where small strain has ended."""
+    """Where small strain has ended: the solver that follows large displacements, if it is no worse."""
     partner = f"{split(model)[0]}:nonlinear"
-    if partner in digest.compared and math.isfinite(_worst_share(digest, partner)):
-        closer = _worst_share(digest, partner) < _worst_share(digest, model)
-        return NextStep("take nonlinear" if closer else "nonlinear no better", figures(digest, partner))
-    if partner in digest.models:
-        return NextStep("nonlinear stops", name=partner)
-    if partner not in model_names():
-        return NextStep("no nonlinear")
-    return NextStep("try nonlinear", name=partner)
+    if partner in digest.compared:
+        closer = digest.shares(partner).max(initial=0.0) < digest.shares(model).max(initial=0.0)
+        return NextStep("take nonlinear", figures(digest, partner)) if closer else NextStep("lower load")
+    known = partner in model_names() and partner not in digest.models
+    return NextStep("try nonlinear", name=partner) if known else NextStep("lower load")
+
+
+def _better(digest: Digest, model: str) -> str | None:
+    """A model of another family that is closer and faster per frame, in every case."""
+    others = [name for name in digest.compared if family_of(name) is not family_of(model)]
+    closer = [n for n in others if digest.shares(n).max(initial=0.0) < digest.shares(model).max(initial=0.0)]
+    better = [name for name in closer if digest.costs[name].frame < digest.costs[model].frame]
+    return _closest(digest, better) if better else None
 
 
 # --- by the kind of interaction ---
@@ -121,17 +118,14 @@ def by_interaction(digest: Digest) -> tuple[Advice, ...]:
     """What to take by what touches the body."""
     surface = _answered(digest, filter(is_surface, digest.compared))
     elements = _answered(digest, digest.families[Family.ELEMENTS])
-    found = [
-        _resting(digest),
-        *([_moving(digest, surface), _cutting(digest, surface)] if surface else []),
-    ]
-    return (*found, _exact(digest, surface, elements))
+    moving = [_moving(digest, surface), _cutting(digest, surface)] if surface else []
+    return (_resting(digest), *moving, _exact(digest, surface, elements))
 
 
 def _resting(digest: Digest) -> Advice:
     """Every linear model costs the same small product per frame there; condensed elements err as linear ones do."""
     for name in (CONDENSED, LINEAR):
-        if name in digest.compared and math.isfinite(_worst_share(digest, name)):
+        if name in digest.compared and math.isfinite(digest.shares(name).max(initial=0.0)):
             found = figures(digest, name)
             told = found if name == CONDENSED else replace(found, frame=math.nan, set_up=math.nan)
             return Advice(RESTING, "condensed", (told,))
@@ -139,7 +133,7 @@ def _resting(digest: Digest) -> Advice:
 
 
 def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
-    limit = next((c.allowed for c in digest.limits.criteria if c.key == FRAME_TIME), math.inf)
+    limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.inf)
     quick = [n for n in surface if limit == math.inf or digest.costs[n].frame <= limit]
     if not quick:
         return Advice(MOVING, "none quick enough", allowed=limit)
@@ -167,45 +161,26 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
 
 def figures(digest: Digest, name: str) -> Figures:
     """What is known of a model."""
-    cost, limits = digest.costs[name], digest.limits
     return Figures(
         name,
         digest.median(name, VECTOR),
         digest.median(name, DEFORMATION),
-        cost.frame,
-        cost.set_up,
+        digest.costs[name].frame,
+        digest.costs[name].set_up,
         digest.same_as_reference(name),
-        sum(limits.state(case, name) == WITHIN for case in digest.cases),
+        int((digest.standing(name) == WITHIN).sum()),
         len(digest.cases),
     )
 
 
-def _worst_share(digest: Digest, name: str) -> float:
-    """The largest of what is limited over its limit in any case; infinite where a case has no answer."""
-    return max((digest.limits.share(case, name) for case in digest.cases), default=math.inf)
-
-
 def _closest(digest: Digest, names: Iterable[str]) -> str:
-    return min(names, key=lambda name: digest.limits.usual_share(digest.cases, name))
+    return min(names, key=digest.usual_share)
 
 
 def _answered(digest: Digest, names: Iterable[str]) -> list[str]:
     """Models with an answer at full load in more than half of the cases."""
-    return [name for name in names if math.isfinite(digest.limits.usual_share(digest.cases, name))]
+    return [name for name in names if math.isfinite(digest.usual_share(name))]
 
 
 def _within(digest: Digest, name: str) -> bool:
-    return all(digest.limits.state(case, name) == WITHIN for case in digest.cases)
-
-
-def _better(digest: Digest, model: str) -> str | None:
-    """A model of another family that is closer and faster per frame, in every case."""
-    mine = digest.costs[model].frame
-    better = [
-        name
-        for name in digest.compared
-        if family_of(name) is not family_of(model)
-        and _worst_share(digest, name) < _worst_share(digest, model)
-        and digest.costs[name].frame < mine
-    ]
-    return _closest(digest, better) if better else None
+    return bool((digest.standing(name) == WITHIN).all())

@@ -3,31 +3,45 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Index
 
 from ..body.surface_measures import Surface
 from ..machine import processor_name
 from ..measures import uncertainty
 from ..measures.bars import reference_bar
 from ..measures.case import CaseResult, Run
-from ..measures.frame import at_full_load, frame
+from ..measures.frame import frame
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED, motion_share
 from ..study.registry import FINITE_STRAIN, REFINED, Family, family_of, split
 from . import palette
-from .acceptance import Acceptance, acceptance
+from .acceptance import (
+    LOST,
+    NOT_ASKED,
+    WORDS,
+    Criterion,
+    States,
+    criteria,
+    frame_time,
+    states_of,
+    time_state,
+    word_of,
+)
 from .loading import KnownLoads, known_loads, supports
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+Number = TypeVar("Number", bound=np.generic)
 
 # place of the reference in the palette; see `palette.places` for the others
 REFERENCE = -1
@@ -35,7 +49,6 @@ SAME_NUMBERS = 1e-6  # of the displacement: less is rounding between two ways to
 ALONG_NORMALS = 1e-9  # of its motion that a model of the normal component has in the surface
 NORMAL, CONTACT, HAUSDORFF = "relative_l2_normal_error", "contact_region_error", "hausdorff_distance"
 DRIFT = "volume_drift"
-SPARSE, WHOLE = "bem-sparse", "bem"
 # what stands beside a time
 EARLIER, ELSEWHERE, ONCE = "earlier run", "another machine", "one answer"
 
@@ -43,10 +56,6 @@ EARLIER, ELSEWHERE, ONCE = "earlier run", "another machine", "one answer"
 def failed_steps(model: ModelResult) -> list[int]:
     """Steps that cannot be used."""
     return [step for step, status in enumerate(model.status) if not status.ok]
-
-
-def _has_answer(model: ModelResult) -> bool:
-    return any(status.ok for status in model.status)
 
 
 @dataclass(frozen=True)
@@ -62,15 +71,6 @@ class Spread:
     measured: int  # cases whose reference error is known
     resolved: int  # of these, cases in which it is small enough
 
-    @property
-    def verdict(self) -> str:
-        """ "resolved", "unresolved", "partly resolved" or "not measured"."""
-        if not self.measured:
-            return "not measured"
-        if self.resolved == self.cases:
-            return "resolved"
-        return f"resolved in {self.resolved} of {self.cases}" if self.resolved else "unresolved"
-
 
 def spread_of(values: Array, bars: Array) -> Spread | None:
     """Spread of (C,) values, each with the reference's error; without those not finite, None if none is left."""
@@ -80,15 +80,14 @@ def spread_of(values: Array, bars: Array) -> Spread | None:
     values, bars = values[kept], bars[kept]
     sizes = np.abs(values)
     worst = int(np.argmax(sizes))
-    known = np.isfinite(bars)
     return Spread(
         median=float(np.median(values)),
-        median_bar=float(np.median(bars[known])) if known.any() else math.nan,
+        median_bar=median_known(bars),
         worst=float(values[worst]),
         worst_bar=float(bars[worst]),
         best=float(values[np.argmin(sizes)]),
         cases=len(values),
-        measured=int(known.sum()),
+        measured=int(np.isfinite(bars).sum()),
         resolved=sum(map(uncertainty.is_resolved, values.tolist(), bars.tolist())),
     )
 
@@ -97,13 +96,14 @@ def spread_of(values: Array, bars: Array) -> Spread | None:
 class Cost:
     """What a model takes: medians over cases and steps [s], the most memory [B], what stands beside the times.
 
-    `frame` is of the contact, over meshes and rounds; without measured frames over steps. `marks` are EARLIER,
-    ELSEWHERE, ONCE; `iterative` tells whether an iterative solver was chosen in any case.
+    `frame` is of the contact, `everywhere` with all nodes loaded, over meshes and rounds; without measured frames
+    `frame` is over steps. `marks` are EARLIER, ELSEWHERE, ONCE; `iterative` tells whether such a solver was chosen.
     """
 
     model: str
     set_up: float
     frame: float
+    everywhere: float
     memory: float
     iterative: bool
     marks: tuple[str, ...]
@@ -131,7 +131,7 @@ class Unreached:
 
 @dataclass(frozen=True)
 class Digest:
-    """A run with what follows from it."""
+    """A run with what follows from it. C cases, S steps of the longest load history."""
 
     run: Run
 
@@ -141,31 +141,204 @@ class Digest:
         return self.run.cases
 
     @cached_property
+    def place(self) -> dict[str, int]:
+        """Hash of each case -> its number."""
+        return {case.hash: k for k, case in enumerate(self.cases)}
+
+    @cached_property
     def table(self) -> DataFrame:
         """The frame of the run; see `vdmbench.measures.frame`."""
         return frame(self.run)
 
     @cached_property
-    def _columns(self) -> dict[tuple[str, str], tuple[Array, Array]]:
-        """(model, metric) -> (C,) values of the cases at full load and (C,) their bars; NaN where there is none."""
-        full, count = at_full_load(self.table), len(self.cases)
-        place, found = self.place, {}
-        for key, rows in full.groupby(["model", "metric"], sort=False, observed=True):
-            at = rows["case"].map(place).to_numpy()
-            found[key] = np.full(count, math.nan), np.full(count, math.nan)
-            for column, name in zip(found[key], ("value", "bar"), strict=True):
-                column[at] = rows[name]
+    def _histories(self) -> dict[tuple[str, str], tuple[Array, Array]]:
+        """(model, metric) -> (C, S) values and (C,) bars at full load; NaN where there is none."""
+        table, found = self.table, {}
+        number, step = table["case"].map(self.place).to_numpy(dtype=int), table["step"].to_numpy(dtype=int)
+        value, bar, full = (table[key].to_numpy() for key in ("value", "bar", "full_load"))
+        shape = len(self.cases), int(step.max(initial=-1)) + 1
+        for key, rows in table.groupby(["model", "metric"], sort=False, observed=True).indices.items():
+            found[key] = np.full(shape, math.nan), np.full(shape[0], math.nan)
+            found[key][0][number[rows], step[rows]] = value[rows]
+            rows = rows[full[rows]]
+            found[key][1][number[rows]] = bar[rows]
         return found
 
+    def history(self, model: str, metric: str) -> Array:
+        """(C, S) a metric of every case and step; NaN where there is none."""
+        if (model, metric) in self._histories:
+            return self._histories[model, metric][0]
+        return np.full((len(self.cases), int(self.full.max(initial=-1)) + 1), math.nan)
+
     @cached_property
-    def limits(self) -> Acceptance:
-        """How far off a model may be."""
-        return acceptance(self.run.study)
+    def full(self) -> Index:
+        """(C,) the step of the largest load of each case."""
+        return np.array([case.full_load for case in self.cases], dtype=int)
+
+    def full_loads(self, model: str, metric: str) -> Array:
+        """(C,) a metric of every case at the step of the largest load; NaN where there is none."""
+        return self.history(model, metric)[np.arange(len(self.cases)), self.full]
+
+    def at(self, case: CaseResult, model: str, metric: str) -> float:
+        """A metric of a case at the step of its largest load; NaN where there is none."""
+        return float(self.full_loads(model, metric)[self.place[case.hash]])
+
+    def bars(self, metric: str) -> Array:
+        """(C,) the reference's own part in a metric of every case; NaN where there is none."""
+        return np.array([reference_bar(case, metric) for case in self.cases])
+
+    def spread(self, model: str, metric: str) -> Spread | None:
+        """A metric of a model at full load over all cases; None where none has it."""
+        if (model, metric) not in self._histories:
+            return None
+        return spread_of(self.full_loads(model, metric), self._histories[model, metric][1])
+
+    def median(self, model: str, metric: str) -> float:
+        """A metric of a model at full load, median over the cases that have it; NaN where none has."""
+        return median_known(self.full_loads(model, metric))
+
+    # --- models ---
+
+    @cached_property
+    def models(self) -> tuple[str, ...]:
+        """All models by family, the reference last; in one as the study orders them."""
+        asked = [str(name) for name in self.run.study.study.models]
+        names = dict.fromkeys([*asked, *(name for case in self.cases for name in case.models)])
+        order = list(Family)
+        return tuple(sorted(names, key=lambda name: (name == self.reference, order.index(family_of(name)))))
+
+    @cached_property
+    def reference(self) -> str | None:
+        """The reference of the finished cases, else the study's."""
+        found = next((case.reference for case in self.cases if case.reference), None)
+        return found or self.run.study.study.reference
+
+    @cached_property
+    def compared(self) -> tuple[str, ...]:
+        """The models that are measured against the reference."""
+        return tuple(
+            name for name in self.models if name != self.reference and (name, VECTOR) in self._histories
+        )
+
+    @cached_property
+    def coarse_reference(self) -> str | None:
+        """The reference's own model on the case's mesh, where the cases were held against it on a refined one."""
+        asked = self.run.study.study.reference
+        return asked if asked != self.reference and asked in self.compared else None
+
+    @cached_property
+    def families(self) -> dict[Family, tuple[str, ...]]:
+        """The compared models of each family."""
+        return {
+            family: tuple(name for name in self.compared if family_of(name) is family) for family in Family
+        }
+
+    def same_as_reference(self, model: str) -> bool:
+        """Whether a model's answers are the reference's own to rounding, where that is solved on the same mesh."""
+        spread = None if str(self.reference).endswith(REFINED) else self.spread(model, VECTOR)
+        return spread is not None and spread.worst < SAME_NUMBERS
+
+    def floor(self, model: str) -> float:
+        """The displacement error of the reference itself, moved along normals only; NaN of models that move freely.
+
+        No model that moves its nodes along normals can be closer.
+        """
+        share = self.spread(model, "tangential_share")
+        if self.reference is None or share is None or not share.worst < ALONG_NORMALS:
+            return math.nan
+        return self.median(self.reference, "tangential_share")
+
+    def leading(self, model: str) -> str:
+        """The metric that leads: the normal error of a model that moves along normals, else displacement."""
+        return NORMAL if math.isfinite(self.floor(model)) else VECTOR
+
+    # --- against the limits of the study ---
+
+    @cached_property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """The limits of the study."""
+        return criteria(self.run.study)
 
     def allowed(self, metric: str) -> float:
         """What the study accepts of a metric; NaN where it limits another."""
-        vector, deformation = self.limits.criteria[:2]
-        return {VECTOR: vector.allowed, DEFORMATION: deformation.allowed}.get(metric, math.nan)
+        return next((one.allowed for one in self.criteria if one.metric == metric), math.nan)
+
+    def limited(self, model: str, one: Criterion) -> tuple[Array, Array]:
+        """(C, S) what a criterion limits and (C,) the reference's own part in it; NaN where there is none."""
+        values = self.history(model, one.metric)
+        if one.region:
+            # the reference's own part in a region is no more than at any node
+            values = np.full(values.shape, math.nan)
+            for row, case in zip(values, self.cases, strict=True):
+                row[: len(case.load_factors)] = _differences(case, model, one.region)
+        elif not one.of_load:
+            times = [frame_time(case.models.get(model)) for case in self.cases]
+            values = np.broadcast_to(np.array(times)[:, None], values.shape)
+        return values, self.bars(one.metric)
+
+    def states(self, model: str, one: Criterion) -> States:
+        """(C, S) where a model stands against a criterion at each step.
+
+        A reference that moves as a rigid body has no change of shape, and a model's error in that is NOT_ASKED.
+        """
+        values, bars = self.limited(model, one)
+        answered = np.isfinite(self.history(model, VECTOR))
+        if not one.of_load:
+            times = np.array([time_state(case.models.get(model), one.allowed) for case in self.cases])
+            return np.where(answered, times[:, None], LOST).astype(np.int8)
+        found = states_of(values, bars[:, None], one.allowed)
+        if one.metric == DEFORMATION:
+            found[~np.isfinite(values) & answered] = NOT_ASKED
+        return found
+
+    def worst_states(self, model: str, *, of_load: bool = False) -> States:
+        """(C, S) the worst over the limits; `of_load` leaves out what no load can break."""
+        chosen = [one for one in self.criteria if one.of_load or not of_load]
+        return np.asarray(np.max([self.states(model, one) for one in chosen], axis=0))
+
+    def at_full(self, values: NDArray[Number]) -> NDArray[Number]:
+        """(C,) of (C, S) those at full load."""
+        return values[np.arange(len(self.cases)), self.full]
+
+    @cached_property
+    def _standings(self) -> dict[str, tuple[States, Array]]:
+        """Model that is compared -> (C,) its worst state and (C,) largest error over its limit, at full load."""
+        found = {}
+        for name in self.compared:
+            shares = [
+                self.at_full(self.limited(name, one)[0]) / one.allowed for one in self.criteria if one.of_load
+            ]
+            share = np.where(np.isfinite(shares[0]), np.fmax.reduce(shares), math.inf)
+            found[name] = self.at_full(self.worst_states(name)), share
+        return found
+
+    def standing(self, model: str) -> States:
+        """(C,) the worst state of a compared model in each case at full load."""
+        return self._standings[model][0]
+
+    def shares(self, model: str) -> Array:
+        """(C,) the largest error over its limit at full load, whatever the time; infinite without an answer."""
+        return self._standings[model][1]
+
+    def usual_share(self, model: str) -> float:
+        """Median of `shares`; infinite if most have none."""
+        return float(np.median(self.shares(model))) if self.cases else math.inf
+
+    def deciding(self, family: Family) -> str:
+        """The model that decides in a family: the one that stands best by the answer, then by error, never by time.
+
+        Of equal ones, or where half the cases or more have no answer, by how many have one. So one more model in
+        a family never makes its answer a worse one.
+        """
+
+        def rank(model: str) -> tuple[float, ...]:
+            known = self.shares(model)[np.isfinite(self.shares(model))]
+            usual = float(np.median(known)) if len(known) else math.inf
+            return WORDS.index(word_of(self.standing(model))), self.usual_share(model), -len(known), usual
+
+        return min(self.families[family], key=rank)
+
+    # --- cases ---
 
     @cached_property
     def surfaces(self) -> dict[str, Surface]:
@@ -182,53 +355,6 @@ class Digest:
     def known_loads(self) -> KnownLoads:
         """The loads of all steps of all cases."""
         return known_loads(self.cases, {key: surface.normals for key, surface in self.surfaces.items()})
-
-    @cached_property
-    def models(self) -> tuple[str, ...]:
-        """All models by family, the reference last; in one as the study orders them."""
-        asked = [str(name) for name in self.run.study.study.models]
-        names = dict.fromkeys([*asked, *(name for case in self.cases for name in case.models)])
-        told, order = (name for name in names if name not in self.twins), list(Family)
-        return tuple(sorted(told, key=lambda name: (name == self.reference, order.index(family_of(name)))))
-
-    @cached_property
-    def twins(self) -> dict[str, str]:
-        """Model -> the one that it is in every case, and is left out for: bem-sparse is bem on few nodes."""
-        found = {}
-        for name in {name for case in self.cases for name in case.models if split(name)[0] == SPARSE}:
-            twin = name.replace(SPARSE, WHOLE)
-            cases = [case for case in self.cases if name in case.models]
-            if name != self.reference and all(
-                twin in case.models and _is_whole(case, name) for case in cases
-            ):
-                found[name] = twin
-        return found
-
-    @cached_property
-    def reference(self) -> str | None:
-        """The reference of the finished cases, else the study's."""
-        found = next((case.reference for case in self.cases if case.reference), None)
-        return found or self.run.study.study.reference
-
-    @cached_property
-    def compared(self) -> tuple[str, ...]:
-        """The models that are measured against the reference."""
-        return tuple(
-            name for name in self.models if name != self.reference and (name, VECTOR) in self._columns
-        )
-
-    @cached_property
-    def coarse_reference(self) -> str | None:
-        """The reference's own model on the case's mesh, where the cases were held against it on a refined one."""
-        asked = self.run.study.study.reference
-        return asked if asked != self.reference and asked in self.compared else None
-
-    @cached_property
-    def families(self) -> dict[Family, tuple[str, ...]]:
-        """The compared models of each family."""
-        return {
-            family: tuple(name for name in self.compared if family_of(name) is family) for family in Family
-        }
 
     @cached_property
     def outside(self) -> tuple[Outside, ...]:
@@ -265,132 +391,6 @@ class Digest:
             return self
         return Digest(replace(self.run, cases=[case for case in self.cases if case.hash not in beyond]))
 
-    def same_as_reference(self, model: str) -> bool:
-        """Whether a model's answers are the reference's own to rounding, where that is solved on the same mesh."""
-        if str(self.reference).endswith(REFINED):
-            return False
-        spread = self.spread(model, VECTOR)
-        return spread is not None and spread.worst < SAME_NUMBERS
-
-    def deciding(self, family: Family) -> str:
-        """The model that decides in a family: of those that are compared the one that stands best."""
-        return min(self.families[family], key=lambda name: self.limits.standing(self.cases, name))
-
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return palette.places(name for name in self.models if name != self.reference)
-
-    def colour(self, model: str) -> int:
-        """The model's place in the palette."""
-        return REFERENCE if model == self.reference else self._places[model]
-
-    @cached_property
-    def legend(self) -> list[tuple[int, str, bool]]:
-        """(number in the palette, name, is the reference) of every model; the reference comes last."""
-        others = [(self.colour(name), name, False) for name in self.models if name != self.reference]
-        return [*others, (REFERENCE, self.reference, True)] if self.reference in self.models else others
-
-    def case_name(self, case: CaseResult) -> str:
-        """What a case is called on the page."""
-        if case.label:
-            return case.label
-        return "the only case" if len(self.cases) == 1 else f"case {case.hash[:8]}"
-
-    def title(self, role: str, case: CaseResult) -> str:
-        """A key case with its role."""
-        return f"{role.capitalize()}: {self.case_name(case)}" if role else self.case_name(case)
-
-    def mark(self, name: str) -> int | None:
-        """The place of a name in the palette, None of what is no model of the run."""
-        return self.colour(name) if name in self.models else None
-
-    def at(self, case: CaseResult, model: str, metric: str) -> float:
-        """A metric of a case at the step of its largest load; NaN where there is none."""
-        return float(self.full_loads(model, metric)[self.place[case.hash]])
-
-    @cached_property
-    def place(self) -> dict[str, int]:
-        """Hash of each case -> its number."""
-        return {case.hash: k for k, case in enumerate(self.cases)}
-
-    def full_loads(self, model: str, metric: str) -> Array:
-        """(C,) a metric of every case at the step of the largest load; NaN where there is none."""
-        found = self._columns.get((model, metric))
-        return np.full(len(self.cases), math.nan) if found is None else found[0]
-
-    def bars(self, metric: str) -> Array:
-        """(C,) the reference's own part in a metric of every case; NaN where there is none."""
-        return np.array([reference_bar(case, metric) for case in self.cases])
-
-    def own_error(self, metric: str) -> float:
-        """Median over the cases of the reference's own part in a metric; NaN where none was measured."""
-        bars = self.bars(metric)
-        known = bars[np.isfinite(bars)]
-        return float(np.median(known)) if len(known) else math.nan
-
-    def spread(self, model: str | None, metric: str) -> Spread | None:
-        """A metric of a model at full load over all cases; of each case's own reference where that is None."""
-        nothing = np.full(len(self.cases), math.nan)
-        if model is not None:
-            return spread_of(*self._columns.get((model, metric), (nothing, nothing)))
-        own = [self._columns.get((str(case.reference), metric), (nothing, nothing)) for case in self.cases]
-        columns = [[part[which][k] for k, part in enumerate(own)] for which in (0, 1)]
-        return spread_of(np.array(columns[0]), np.array(columns[1]))
-
-    def median(self, model: str, metric: str) -> float:
-        """A metric of a model at full load, median over the cases that have it; NaN where none has."""
-        found = self.spread(model, metric)
-        return math.nan if found is None else found.median
-
-    def floor(self, model: str) -> float:
-        """The displacement error of the reference itself, moved along normals only; NaN of models that move freely.
-
-        No model that moves its nodes along normals can be closer.
-        """
-        share = self.spread(model, "tangential_share")
-        if self.reference is None or share is None or not share.worst < ALONG_NORMALS:
-            return math.nan
-        return self.median(self.reference, "tangential_share")
-
-    def leading(self, model: str) -> str:
-        """The metric that leads: the normal error of a model that moves along normals, else displacement."""
-        return NORMAL if math.isfinite(self.floor(model)) else VECTOR
-
-    @property
-    def mostly_rigid(self) -> bool:
-        """Whether the reference's displacement is more rigid motion than change of shape: at the median."""
-        return self.reference is not None and self.median(self.reference, "rigid_share") > math.sqrt(0.5)
-
-    @cached_property
-    def behaviours(self) -> list[str]:
-        """What the reference's mesh levels do, of each case that has them."""
-        estimates = [uncertainty.stored_estimate(case.reference_error) for case in self.cases]
-        return [e.behaviour for e in estimates if e is not None]
-
-    @cached_property
-    def costs(self) -> dict[str, Cost]:
-        """Of every model."""
-        return {name: self._cost(name) for name in self.models}
-
-    def _cost(self, name: str) -> Cost:
-        results = [case.models[name] for case in self.cases if name in case.models]
-        frames = [result.frames for result in results if result.frames is not None]
-        times = [one.contact for one in frames] or [result.seconds_per_step for result in results]
-        setups = [one.setup for one in frames] or [np.array([result.seconds_setup]) for result in results]
-        return Cost(
-            model=name,
-            set_up=_median_known(setups),
-            frame=_median_known(times),
-            memory=float(max((r.peak_bytes for r in results if _has_answer(r)), default=math.nan)),
-            iterative=not frames and any(r.parameters.get("solver") == "iterative" for r in results),
-            marks=tuple(self._marks(name)),
-        )
-
-    def frame_everywhere(self, name: str) -> float:
-        """Median time of a frame with all nodes loaded [s]; NaN where not measured."""
-        frames = [case.models[name].frames for case in self.cases if name in case.models]
-        return _median_known([one.everywhere for one in frames if one is not None])
-
     @cached_property
     def stopped(self) -> dict[str, int]:
         """Model -> cases with a step that failed, of the models that have any."""
@@ -400,21 +400,15 @@ class Digest:
         }
         return {name: count for name, count in found.items() if count}
 
-    def _marks(self, name: str) -> Iterator[str]:
-        """What is said of a model's times: nothing where all are of the run that did the others, here."""
-        resumed = set(self.run.plan.get("resumed", ()))  # done before the last run that did others
-        found, anew = set(), any(m.frames is not None for case in self.cases for m in case.models.values())
-        here = processor_name()
-        for case in (case for case in self.cases if name in case.models):
-            about, frames = case.models[name].parameters, case.models[name].frames
-            if frames is not None:
-                found |= {ELSEWHERE} if frames.processor != here else set()
-                continue
-            found |= {ONCE} if anew else set()
-            found |= {EARLIER} if case.hash in resumed or "measured_earlier" in about else set()
-            machine = about.get("measured_on", case.provenance.get("processor", ""))
-            found |= {ELSEWHERE} if machine not in ("", here) else set()
-        return (mark for mark in (EARLIER, ELSEWHERE, ONCE) if mark in found)
+    @cached_property
+    def swept_keys(self) -> list[str]:
+        """Swept parameters that take more than one value."""
+        keys = dict.fromkeys(key for case in self.cases for key in case.swept)
+        return [key for key in keys if len({case.swept.get(key) for case in self.cases}) > 1]
+
+    def unit(self, key: str) -> str:
+        """The SI unit of a swept parameter."""
+        return next((case.swept_units.get(key, "1") for case in self.cases if key in case.swept), "1")
 
     @cached_property
     def focus(self) -> str | None:
@@ -432,51 +426,110 @@ class Digest:
 
         Without a reference: those with the largest, median and smallest displacement.
         """
-        if not self.cases:
-            return []
-        if len(self.cases) == 1:
-            return [("", self.cases[0])]
+        if len(self.cases) < 2:
+            return [("", case) for case in self.cases]
         by_error = bool(self.compared)
-        sizes = [self._size(case, by_error=by_error) for case in self.cases]
-        order = sorted(range(len(sizes)), key=lambda k: (not math.isfinite(sizes[k]), -sizes[k], k))
-        finite = [k for k in order if math.isfinite(sizes[k])] or order
+        if by_error:
+            sizes = np.abs(self.full_loads(str(self.focus), VECTOR))
+        else:
+            sizes = np.array([_largest(case, self.focus) for case in self.cases])
+        finite = np.isfinite(sizes)
+        order = np.argsort(np.where(finite, -sizes, math.inf), kind="stable").tolist()
+        finite_only = order[: int(finite.sum())] or order
         roles = ("worst", "median", "best") if by_error else ("largest", "median", "smallest")
-        picks = [(roles[0], finite[0]), (roles[1], finite[len(finite) // 2]), (roles[2], finite[-1])]
-        if len(finite) == 2:
-            picks = [picks[0], picks[2]]
+        middle = [] if len(finite_only) == 2 else [(roles[1], finite_only[len(finite_only) // 2])]
         seen: dict[int, str] = {}
-        for role, k in picks:
+        for role, k in [(roles[0], finite_only[0]), *middle, (roles[2], finite_only[-1])]:
             seen.setdefault(k, role)
         return [(role, self.cases[k]) for k, role in seen.items()]
 
-    def _size(self, case: CaseResult, *, by_error: bool) -> float:
-        if self.focus is None:
-            return math.nan
-        if by_error:
-            return abs(self.at(case, self.focus, VECTOR))
-        result = case.models.get(self.focus)
-        if result is None:
-            return math.nan
-        return float(np.linalg.norm(result.displacement[case.full_load], axis=1).max())
+    # --- names and looks ---
+
+    def case_name(self, case: CaseResult) -> str:
+        """What a case is called on the page."""
+        if case.label:
+            return case.label
+        return "the only case" if len(self.cases) == 1 else f"case {case.hash[:8]}"
+
+    def title(self, role: str, case: CaseResult) -> str:
+        """A key case with its role."""
+        return f"{role.capitalize()}: {self.case_name(case)}" if role else self.case_name(case)
 
     @cached_property
-    def swept_keys(self) -> list[str]:
-        """Swept parameters that take more than one value."""
-        keys = dict.fromkeys(key for case in self.cases for key in case.swept)
-        return [key for key in keys if len({case.swept.get(key) for case in self.cases}) > 1]
+    def _places(self) -> dict[str, int]:
+        return palette.places(name for name in self.models if name != self.reference)
 
-    @property
-    def has_steps(self) -> bool:
-        """Whether any case has a load history."""
-        return any(len(case.load_factors) > 1 for case in self.cases)
+    def colour(self, model: str) -> int:
+        """The model's place in the palette."""
+        return REFERENCE if model == self.reference else self._places[model]
+
+    def mark(self, name: str) -> int | None:
+        """The place of a name in the palette, None of what is no model of the run."""
+        return self.colour(name) if name in self.models else None
+
+    @cached_property
+    def legend(self) -> list[tuple[int, str, bool]]:
+        """(number in the palette, name, is the reference) of every model; the reference comes last."""
+        return [(self.colour(name), name, name == self.reference) for name in self.models]
+
+    # --- costs ---
+
+    @cached_property
+    def costs(self) -> dict[str, Cost]:
+        """Of every model."""
+        return {name: self._cost(name) for name in self.models}
+
+    def _cost(self, name: str) -> Cost:
+        results = [case.models[name] for case in self.cases if name in case.models]
+        frames = [result.frames for result in results if result.frames is not None]
+        answered = [r for r in results if any(status.ok for status in r.status)]
+        return Cost(
+            model=name,
+            set_up=median_known(
+                *([f.setup for f in frames] or [np.array([r.seconds_setup]) for r in results])
+            ),
+            frame=median_known(*([f.contact for f in frames] or [r.seconds_per_step for r in results])),
+            everywhere=median_known(*(f.everywhere for f in frames)),
+            memory=float(max((r.peak_bytes for r in answered), default=math.nan)),
+            iterative=not frames and any(r.parameters.get("solver") == "iterative" for r in results),
+            marks=self._marks(name),
+        )
+
+    def _marks(self, name: str) -> tuple[str, ...]:
+        """What is said of a model's times: nothing where all are of the run that did the others, here."""
+        resumed = set(self.run.plan.get("resumed", ()))  # done before the last run that did others
+        found, anew = set(), any(m.frames is not None for case in self.cases for m in case.models.values())
+        here = processor_name()
+        for case in (case for case in self.cases if name in case.models):
+            about, frames = case.models[name].parameters, case.models[name].frames
+            if frames is not None:
+                found |= {ELSEWHERE} if frames.processor != here else set()
+                continue
+            found |= {ONCE} if anew else set()
+            found |= {EARLIER} if case.hash in resumed or "measured_earlier" in about else set()
+            machine = about.get("measured_on", case.provenance.get("processor", ""))
+            found |= {ELSEWHERE} if machine not in ("", here) else set()
+        return tuple(mark for mark in (EARLIER, ELSEWHERE, ONCE) if mark in found)
 
 
-def _is_whole(case: CaseResult, name: str) -> bool:
-    """Whether the coarse body of a model has every node of the surface."""
-    return float(case.models[name].parameters.get("coarse_nodes", 0.0)) >= len(case.points)
+def _differences(case: CaseResult, model: str, region: str) -> Array:
+    """(S,) largest |u - r| of a region's nodes [m]; NaN where there is none."""
+    mask, reference = case.regions.get(region), case.models.get(str(case.reference))
+    if mask is None or not mask.any() or reference is None or model not in case.models:
+        return np.full(len(case.load_factors), math.nan)
+    gaps = case.models[model].displacement[:, mask] - reference.displacement[:, mask]
+    return np.asarray(np.linalg.norm(gaps, axis=2).max(axis=1))
 
 
-def _median_known(parts: Sequence[Array]) -> float:
+def _largest(case: CaseResult, model: str | None) -> float:
+    """Largest displacement of a model at full load [m]; NaN where there is none."""
+    result = case.models.get(str(model))
+    if result is None:
+        return math.nan
+    return float(np.linalg.norm(result.displacement[case.full_load], axis=1).max())
+
+
+def median_known(*parts: Array) -> float:
     """Median of the numbers in some arrays that are finite; NaN where there are none."""
     values = np.concatenate([np.zeros(0), *parts])
     known = values[np.isfinite(values)]

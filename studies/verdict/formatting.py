@@ -144,3 +144,14 @@ def parameter_name(key: str) -> str:
     words = parts[-1].replace("_", " ")
     words = words.replace("poisson", "Poisson").replace("youngs", "Young's")
     return f"{words} of {parts[-2]}" if len(parts) > 2 else words
+
+
+def input_name(key: str) -> str:
+    """An input as words; of a region's shape with the region: `fraction of below (base)`."""
+    parts = key.split(".")
+    return f"{parameter_name(key)} ({parts[1]})" if parts[0] == "regions" else parameter_name(key)
+
+
+def capital(text: str) -> str:
+    """With a capital letter first."""
+    return f"{text[:1].upper()}{text[1:]}"

@@ -168,8 +168,6 @@ class UpTo:
     load, unit : that load, NaN where there is none; its unit, "1" where it is told as a share of the full load
     depth : how far the reference gives way there, in every case at least [m]; NaN where not known or none
     least, most : the smallest and the largest load tried
-    deepest : how far the reference gives way at most, at any load tried [m]
-    loads : how many loads were tried
     open : whether the next load is undecided, not beyond
     """
 
@@ -178,8 +176,6 @@ class UpTo:
     depth: float
     least: float
     most: float
-    deepest: float
-    loads: int
     open: bool
 
     @property
@@ -222,13 +218,13 @@ def known_loads(cases: Sequence[CaseResult], normals: Mapping[str, Array]) -> Kn
     return KnownLoads(unit, loads, depths, numbers.astype(int), steps.astype(int))
 
 
-def up_to(known: KnownLoads, of_cases: Sequence[States]) -> UpTo | None:
-    """Of all steps that carry a load, from where a model stands at each step of each case; None where none does."""
+def up_to(known: KnownLoads, states: States) -> UpTo | None:
+    """Of all steps that carry a load, from the (C, S) states of a model; None where no step carries any."""
     if not len(known.loads):
         return None
     order = np.argsort(known.loads, kind="stable")
     loads, depths = known.loads[order], known.depths[order]
-    states = np.array([of_cases[known.cases[k]][known.steps[k]] for k in order])
+    states = states[known.cases[order], known.steps[order]]
     # points of one load are one group, of which the worst decides
     starts = np.flatnonzero(np.concatenate([[True], np.diff(loads) > _SAME * loads[1:]]))
     worst = np.maximum.reduceat(states, starts)
@@ -241,7 +237,5 @@ def up_to(known: KnownLoads, of_cases: Sequence[States]) -> UpTo | None:
         depth=min((depth for depth in reached.tolist() if math.isfinite(depth)), default=math.nan),
         least=float(loads[0]),
         most=float(loads[starts[-1]]),
-        deepest=max((d for d in np.abs(depths).tolist() if math.isfinite(d)), default=math.nan),
-        loads=len(starts),
         open=within < len(starts) and int(worst[within]) == OPEN,
     )

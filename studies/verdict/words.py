@@ -11,11 +11,9 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from ..measures.input_spread import STRAIGHT
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED
 from ..study.registry import Family
 from . import formatting as f
-from .inputs_known import input_name
 from .verdict import Verdict, Verdicts
 
 TITLES = {
@@ -30,7 +28,6 @@ DO = "What to do?"
 MEASURED = "What does the measurement say?"
 INPUTS = "Is the error larger than what is not known of the inputs?"
 LOAD = "Up to which load?"
-WITH = "With which parameters?"
 SURE = "How sure is this?"
 BESIDE = (WHY, DO, LOAD)  # what the page has in the table of limits
 ON_TERMINAL = (WHY, DO, MEASURED, INPUTS, LOAD)
@@ -38,11 +35,13 @@ ON_TERMINAL = (WHY, DO, MEASURED, INPUTS, LOAD)
 
 @dataclass(frozen=True)
 class Row:
-    """The answer for one family: its name in words, the word, and one line with the numbers that decide."""
+    """The answer for one family: its name in words, the word, the model that decides, its numbers, and one line."""
 
     family: str
     title: str
     word: str
+    model: str
+    numbers: tuple[str, ...]
     text: str
 
 
@@ -67,27 +66,27 @@ class Told:
 def told(verdicts: Verdicts) -> Told:
     """The verdicts in words."""
     judged = [one for one in verdicts.asked if one.model]
-    small_strain = said("small_strain", verdicts)
     loads = [f"{one.model}: {text}" for one in judged for text in said("reached", one)]
-    loads += [text for one in judged if one.growth is not None for text in said("growth", one.growth)]
     found = [
         Answer(WHY, [f"{one.model}: {text}" for one in judged for text in why_not(one)]),
-        Answer(DO, [f"{one.model}: {text}" for one in judged if (text := to_do(one))]),
+        Answer(DO, [f"{one.model}: {text}" for one in judged if (text := to_do(one, verdicts))]),
         Answer(MEASURED, said("measured", verdicts)),
-        Answer(INPUTS, said("inputs", verdicts.inputs, STRAIGHT)),
-        Answer(LOAD, [*loads, *small_strain]),
-        Answer(WITH, said("parameters", verdicts)),
+        Answer(INPUTS, said("inputs", verdicts.inputs)),
+        Answer(LOAD, [*loads, *said("small_strain", verdicts)]),
         Answer(SURE, said("sure", verdicts)),
     ]
     return Told(
-        rows=tuple(
-            Row(one.family, TITLES[Family(one.family)], one.word, " ".join(said("row", one, verdicts)))
-            for one in verdicts.asked
-        ),
+        rows=tuple(_row(one, verdicts) for one in verdicts.asked),
         notes=tuple(said("notes", verdicts, MOST_MOVED, MOST_DRIFT)),
         instead=tuple(text for one in verdicts.take for text in said("instead", one)),
         further=tuple(answer for answer in found if answer.sentences),
     )
+
+
+def _row(one: Verdict, verdicts: Verdicts) -> Row:
+    numbers = tuple(said("row", one, verdicts))
+    line = ": ".join(filter(None, (one.model, "; ".join(numbers))))
+    return Row(one.family, TITLES[Family(one.family)], one.word, one.model, numbers, f"{line}.")
 
 
 def why_not(one: Verdict) -> list[str]:
@@ -95,9 +94,9 @@ def why_not(one: Verdict) -> list[str]:
     return [text for reason in one.why_not for text in said("why", reason)]
 
 
-def to_do(one: Verdict) -> str:
+def to_do(one: Verdict, verdicts: Verdicts) -> str:
     """What to do with the answer; "" where its model is to be taken."""
-    return " ".join(said("todo", one.advice)) if one.advice is not None else ""
+    return " ".join(said("todo", one.advice, verdicts)) if one.advice is not None else ""
 
 
 def said(macro: str, *about: Any) -> list[str]:
@@ -122,21 +121,15 @@ def _templates() -> Any:
         "short": f.short_percent,
         "amount": f.quantity,
         "measure": f.measure,
-        "bar": lambda value, bar, shown="exact": f.with_bar(value, bar, _SHOWN[shown]),
+        "bar": f.with_bar,
         "listed": f.listed,
         "first_of": _first_of,
         "count": f.plural,
-        "capital": lambda text: f"{text[:1].upper()}{text[1:]}",
+        "capital": f.capital,
         "load": f.load_in_words,
         "loads": _loads,
-        "quantities": lambda ends, unit: " to ".join(dict.fromkeys(f.quantity(end, unit) for end in ends)),
-        "value": f.swept_value,
-        "input": input_name,
     }
     return environment.get_template("words.txt").module
-
-
-_SHOWN = {"exact": f.exact_percent, "short": f.short_percent}
 
 
 def _first_of(names: Sequence[str], most: int) -> str:

@@ -14,7 +14,7 @@ from solver_common.solution import Status
 from tests.report.browser import Browser, chromium
 from tests.report.runs import make_case, make_run
 from vdmbench.measures.case import CaseResult, Run
-from vdmbench.report.headline import headline_rows
+from vdmbench.report.headline import headline_metrics
 from vdmbench.report.page import page_html, write_report
 
 ATTACKS = (
@@ -177,7 +177,7 @@ def test_numbers_that_are_none(value: float) -> None:
     text = re.sub(r"<script.*?</script>", "", page_html(run, stills=False), flags=re.S)
     assert not re.search(r'data-value="(nan|inf|-inf)"', text)
     assert not re.search(r"\bnan\b", text, re.I)
-    assert len(headline_rows(run)) == 2
+    assert len(headline_metrics(run)) == 2
 
 
 def test_a_run_of_nothing_but_nan() -> None:

@@ -110,10 +110,9 @@ def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
     for told in (
         "vdm-vector 8.00 % ± 0.50 % + 5 % 350 Pa ± 4.00 % 4.00 mm ± 200 µm 30.0 % ± 6.00 % unresolved",
         "+ 10 % ≥ 12.8 kPa not reached",
-        "+ 5 % 200 Pa ± 20.0 % unresolved 2.00 mm ± 300 µm unresolved 8.00 % ± 0.80 % largest 40.0 %",
+        "+ 5 % 200 Pa ± 20.0 % unresolved 2.00 mm ± 300 µm unresolved 8.00 % ± 0.80 % 40.0 %",
         "+ 10 % to 400 Pa the reference has no solution beyond",
         "+ 20 % 300 Pa unresolved: a finer mesh does not bear it out 10.0 mm 50.0 %",
-        "5 % at a strain of 8 % ± 0.8 %. Of 1 limit, 1 lie below the paper&#39;s bound",
     ):
         assert told in text, told
 
@@ -175,9 +174,7 @@ def test_without_a_reference_no_error_is_claimed() -> None:
     ]
     html = page_html(make_run(cases), stills=False)
     names = re.findall(r'<section id="(\w+)"', html)
-    # of an icosahedron the support is a lone node
-    before = ["headline", "load", "surface", "force"]
-    assert sorted(names) == sorted([*before, "cases", "doubts", "provenance", "reproduce"])
+    assert names == ["headline", "load", "surface", "force", "cases", "provenance", "reproduce"]
     assert "error" not in words(section(html, "headline")).lower()
 
 

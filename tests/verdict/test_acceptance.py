@@ -10,17 +10,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.example_case import typed_study
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
 from tests.study.study_texts import SMALL
 from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.result import FrameTimes
 from vdmbench.study.config import load_study
-from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN, acceptance
+from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN
 from vdmbench.verdict.digest import Digest
-
-LINES = SMALL.count("\n")
 
 
 def limits_of(tmp_path: Path, table: str) -> dict[str, Any]:
@@ -54,10 +51,8 @@ def test_what_a_study_may_limit(tmp_path: Path) -> None:
 
 def states(case: CaseResult, model: str = "vdm-m", **table: Any) -> dict[str, int]:
     """Limit -> where a model stands at full load."""
-    return {
-        one.key: one.state(case, model, case.full_load)
-        for one in acceptance(typed_study(acceptance=table)).criteria
-    }
+    digest = Digest(make_run([case], acceptance=table))
+    return {one.key: int(digest.at_full(digest.states(model, one))[0]) for one in digest.criteria}
 
 
 def test_each_limit_has_its_own_answer() -> None:
@@ -87,8 +82,8 @@ def test_a_region_restricts_the_largest_difference() -> None:
     case = dataclasses.replace(case, models={**case.models, "vdm-m": moved})
     for most, state in ((0.00101, WITHIN), (0.00099, BEYOND)):
         assert states(case, largest_difference=most, region="finger")["largest_difference"] == state
-    criterion = acceptance(typed_study(acceptance={"largest_difference": 1.0, "region": "base"})).criteria[-1]
-    assert_allclose(criterion.values(case, "vdm-m"), 0.003, rtol=1e-12, atol=0)
+    digest = Digest(make_run([case], acceptance={"largest_difference": 1.0, "region": "base"}))
+    assert_allclose(digest.limited("vdm-m", digest.criteria[-1])[0], 0.003, rtol=1e-12, atol=0)
     # what the reference itself may be off anywhere counts
     bar = dataclasses.replace(case, reference_error={"gci:max_nodal_error": 2e-5})
     assert states(bar, largest_difference=0.00101, region="finger")["largest_difference"] == OPEN
@@ -96,11 +91,11 @@ def test_a_region_restricts_the_largest_difference() -> None:
 
 def test_without_an_answer_every_limit_is_lost() -> None:
     case = measured_anew(make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, subdivisions=0))
-    found = acceptance(typed_study(acceptance={"largest_difference": 1.0, "region": "finger"}))
+    digest = Digest(make_run([case]))
     assert states(case, largest_difference=1.0, region="finger")["largest_difference"] == LOST
-    assert found.state(case, "vdm-m") == LOST
     assert states(case, frame_time=1.0)["frame_time"] == LOST
-    assert found.share(case, "vdm-m") == np.inf
+    assert digest.standing("vdm-m").tolist() == [LOST]
+    assert digest.shares("vdm-m").tolist() == [np.inf]
 
 
 def test_the_best_form_is_the_one_nearest_to_its_limits() -> None:

@@ -75,7 +75,3 @@ def test_the_normal_error_leads_for_a_form_along_normals_beside_its_floor() -> N
     assert derived is not None
     assert (printed.metric, derived.metric) == (NORMAL, VECTOR)
     assert_allclose([printed.value, printed.floor], [0.1, floor], rtol=1e-9, atol=0)
-    assert_allclose(printed.displacement, digest.median("vdm-paper", VECTOR), rtol=1e-12, atol=0)
-    assert printed.distance > 0.0
-    assert printed.contact > 0.0
-    assert_allclose(printed.reference_drift, digest.median(REFERENCE, "volume_drift"), rtol=1e-12, atol=0)

@@ -48,8 +48,8 @@ def test_page_terminal_json_and_notebook_say_the_same(capsys: pytest.CaptureFixt
         assert one.lead is not None
         number = with_bar(one.lead.value, one.lead.bar)
         assert f"{row.title}: {row.word}. {row.text}" in terminal
-        assert number in row.text
-        assert f"{row.title} {row.word} {one.model} {one.lead.name} {number}" in page
+        assert f"{one.lead.name} {number}" in row.numbers
+        assert f"{row.title} {row.word} {one.model} {' '.join(row.numbers)}" in page
         assert row.text in notebook
     for sentence in words.notes:
         assert all(flat(sentence) in text for text in (terminal, page, notebook))

@@ -18,7 +18,6 @@ from vdmbench.study.registry import family_of
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import Verdict, verdicts
 from vdmbench.verdict.why_not import (
-    COMPRESSIBILITY,
     LEFT_OUT,
     MESH,
     MODEL,
@@ -48,7 +47,8 @@ def causes(run: Run, model: str = "vdm-vector") -> dict[str, Reason]:
 
 def growing(shares: Mapping[str, Sequence[float]], reference: str = "fem", **others: object) -> CaseResult:
     """A case in which each model's errors at the steps of `STEPS` are those given; both errors alike."""
-    case = make_case(dict.fromkeys(shares, 0.0), steps=STEPS, reference=reference, subdivisions=1, **others)  # type: ignore[arg-type]
+    about = {"steps": STEPS, "reference": reference, "subdivisions": 1, **others}
+    case = make_case(dict.fromkeys(shares, 0.0), **about)  # type: ignore[arg-type]
     surface = Digest(make_run([case])).surfaces[case.hash]
     true = case.models[reference]
     models, metrics = dict(case.models), dict(case.metrics)
@@ -89,14 +89,14 @@ def test_what_is_left_out_is_told_by_elements_that_leave_it_out_too() -> None:
     assert causes(make_run([asked(worse, **lump)])).keys() == {MODEL, LEFT_OUT}
 
 
-def test_the_model_is_told_by_linear_elements() -> None:
-    far = growing({"vdm-vector": (0.2, 0.2, 0.21), "fem-linear": (0.001, 0.005, 0.01)})
+def test_the_model_is_told_by_linear_elements_where_no_load_is_small() -> None:
+    far = growing({"vdm-vector": (0.2, 0.2, 0.21), "fem-linear": (0.001, 0.005, 0.01)}, steps=(0.8, 0.9, 1.0))
     found = causes(make_run([far]))
     assert found.keys() == {MODEL}
-    assert both(found[MODEL]) == pytest.approx((0.2 / 1.01, 0.2 / 1.01), rel=1e-9)
-    assert found[MODEL].about == {"against": "fem-linear"}
-    near = growing({"vdm-vector": (0.02, 0.1, 0.21), "fem-linear": (0.001, 0.1, 0.2)})
-    assert MODEL not in causes(make_run([near]))
+    assert both(found[MODEL]) == pytest.approx((0.21, 0.21), rel=1e-9)
+    assert found[MODEL].about == {"elements": "fem-linear"}
+    near = growing({"vdm-vector": (0.1, 0.1, 0.21), "fem-linear": (0.1, 0.1, 0.2)}, steps=(0.8, 0.9, 1.0))
+    assert causes(make_run([near])).keys() == {SMALL_STRAIN}
 
 
 def test_the_model_is_told_by_its_smallest_load() -> None:
@@ -143,48 +143,15 @@ def test_the_advice_where_small_strain_has_ended_is_the_nonlinear_solver() -> No
     worse = linear | {"vdm-vector:nonlinear": (0.15, 0.15, 0.15)}
     alone = verdicts(Digest(make_run([growing(better)])))["vdm-derived"]
     assert (alone.word, alone.model) == ("yes", "vdm-vector:nonlinear")
-    assert advice(growing(worse)) == "nonlinear no better"
+    assert advice(growing(worse)) == "lower load"
     stopped = linear | {"vdm-vector:nonlinear": (0.01, math.nan, math.nan)}
-    assert advice(growing(stopped, stopped={"vdm-vector:nonlinear": 1})) == "nonlinear stops"
+    assert advice(growing(stopped, stopped={"vdm-vector:nonlinear": 1})) == "lower load"
 
 
 def test_a_model_that_is_far_off_at_any_load_is_not_sent_to_its_nonlinear_solver() -> None:
     far = growing({"vdm-vector": (0.2, 0.25, 0.3), "fem-linear": (0.001, 0.05, 0.114)})
     assert causes(make_run([far])).keys() == {MODEL, SMALL_STRAIN}
-    assert advice(far) == "large elements"
-
-
-def ratios(*errors: tuple[float, float], stopped: Sequence[float] = ()) -> Run:
-    """A case for each (Poisson's ratio, error)."""
-    return make_run(
-        [
-            make_case(
-                {"vdm-vector": error},
-                label=f"{nu} {error}",
-                swept={"tissue.poisson_ratio": nu},
-                stopped={"vdm-vector": 0} if nu in stopped else None,
-                subdivisions=0,
-                steps=(1.0,),
-            )
-            for nu, error in errors
-        ]
-    )
-
-
-def test_compressibility_is_told_by_the_cases_that_fail() -> None:
-    falling = ratios((0.3, 0.3), (0.45, 0.15), (0.49, 0.06))
-    assert causes(falling)[COMPRESSIBILITY].about == {"ratios": [0.3, 0.45]}
-    assert advice(*falling.cases) == "ratios"
-    for others in (
-        ((0.3, 0.06), (0.49, 0.3)),
-        ((0.3, 0.3), (0.49, 0.2)),
-        ((0.3, 0.12), (0.4, 0.2), (0.49, 0.06)),
-        # the medians fall, 9.3 % and 8.5 %, and yet it is a case at the higher ratio that is not within
-        ((0.3, 0.09), (0.3, 0.095), (0.45, 0.05), (0.45, 0.12)),
-    ):
-        assert COMPRESSIBILITY not in causes(ratios(*others))
-    unanswered = ratios((0.3, 0.05), (0.35, 0.05), (0.49, 0.05), stopped=(0.3, 0.35))
-    assert verdict(Digest(unanswered)).word == "no"
+    assert advice(far) == "elements"
 
 
 def test_what_the_mesh_takes_of_linear_elements_is_not_small_strain() -> None:
@@ -214,7 +181,7 @@ def test_the_references_bar_is_told_where_it_decides() -> None:
         "change of shape": 0.01,
     }
     assert found.advice is not None
-    assert (found.advice.kind, found.advice.value) == ("levels", 3)
+    assert found.advice.kind == "levels"
     beyond = make_case({"vdm-vector": 0.2}, reference_error=OFF_BY, subdivisions=0)
     assert REFERENCE not in causes(make_run([beyond]))
 
@@ -227,14 +194,10 @@ def test_no_answer_is_told_with_its_reason() -> None:
     assert causes(make_run([make_case({"vdm-vector": 0.01}, subdivisions=0)])) == {}
 
 
-def test_what_is_not_measured_is_asked_for() -> None:
+def test_what_nothing_measured_tells_is_said() -> None:
     bare = make_case({"vdm-vector": 0.2}, reference="fem", steps=(1.0,), subdivisions=0)
-    wanted = [
-        '"fem-linear" among the models',
-        "a small first factor in [load]",
-        "uncertainty.levels = 2",
-    ]
-    assert causes(make_run([bare])) == {NOT_TOLD: Reason(NOT_TOLD, about={"wanted": wanted})}
+    assert causes(make_run([bare])) == {NOT_TOLD: Reason(NOT_TOLD)}
+    assert "fem-linear among the models" in told(make_run([bare]))[NOT_TOLD]
 
 
 def test_a_frame_that_takes_too_long_is_told() -> None:

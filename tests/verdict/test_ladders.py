@@ -1,4 +1,4 @@
-"""The report's section on numerical stability, on runs whose breakdowns are known."""
+"""Ladders: where on them each solver breaks down, on runs whose breakdowns are known."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from tests.report.runs import make_case, make_run
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.measures.metrics import History, evaluate
-from vdmbench.report.blocks import Figures, Section, Table, Text
-from vdmbench.report.section_stability import numerical_stability
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.ladders import Ladder, ladders, reading, trusted
 
@@ -62,13 +60,6 @@ def star() -> list[CaseResult]:
 @pytest.fixture(scope="module")
 def found() -> dict[str, Ladder]:
     return {ladder.key: ladder for ladder in ladders(Digest(make_run(star())))}
-
-
-@pytest.fixture(scope="module")
-def section() -> Section:
-    made = numerical_stability(Digest(make_run(star(), sweep="one-at-a-time")))
-    assert made is not None
-    return made
 
 
 def test_ladders_hold_the_cases_that_differ_in_one_value(found: dict[str, Ladder]) -> None:
@@ -154,23 +145,6 @@ def test_the_table_of_one_models_own_key_is_about_that_model() -> None:
     assert set(ladder.readings) == {LU}
 
 
-def test_section_says_what_is_wrong_and_where(section: Section) -> None:
-    first, second = (
-        block.text for block in section.blocks if isinstance(block, Text) and block.kind == "plain"
-    )
-    assert first == "Of 6 pairs of a solver and a ladder, 3 are right from end to end and 3 break down."
-    assert second == (
-        "Called converged and not right: vdm-paper at Poisson ratio 0.3 and vdm-paper:lu at slivers 1e+06."
-    )
-    table = next(block for block in section.blocks if isinstance(block, Table) and block.name == "stability")
-    rows = [[cell.text for cell in row] for row in table.rows]
-    assert ["slivers", NONLINEAR, "100", "100", "10000", "diverged", "take smaller load steps"] in rows
-    assert ["slivers", DIRECT, "100", "1e+06", "nowhere", "–", "–"] in rows
-    assert [row[4] for row in rows if row[:2] == ["Poisson ratio", DIRECT]] == ["0.3", "0.5"]
-    wrong = next(row for row in table.rows if row[5].tone == "bad")
-    assert wrong[5].detail
-
-
 def test_a_quasi_linear_step_that_is_too_long_is_told_from_a_wrong_number() -> None:
     there_and_back = case({}, steps=(1.0, 0.0), residuals=(0, 0))
     result = there_and_back.models[NONLINEAR]
@@ -214,21 +188,3 @@ def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> No
         read = reading(dataclasses.replace(grew, models={DIRECT: unsolved}), DIRECT)
         assert read is not None
         assert read.code == "wrong", "a load that is too large excuses no residual"
-
-
-def test_figures_show_each_measure_that_is_stored(section: Section) -> None:
-    groups = [block for block in section.blocks if isinstance(block, Figures)]
-    assert [group.summary for group in groups] == [
-        "Along the Poisson ratio, 0.3 to 0.5",
-        "Along the slivers, 100 to 1e+06",
-    ]
-    titles = ["Relative residual", "Condition estimate", "Difference from the trusted solver", "Volume drift"]
-    for group in groups:
-        assert [figure.title for figure in group.figures] == titles
-    assert "vdm-paper:lu from 1.0e-17 to 1.0e-02" in groups[1].figures[2].svg
-
-
-def test_other_studies_have_no_such_section() -> None:
-    assert numerical_stability(Digest(make_run(star()))) is None
-    assert numerical_stability(Digest(make_run(star(), claims=[9]))) is not None
-    assert numerical_stability(Digest(make_run([case({})], sweep="one-at-a-time"))) is None
