@@ -15,7 +15,7 @@ from ..measures.case import CaseResult
 from ..scene.result import ModelResult
 from ..study.registry import is_linear, split
 from .digest import Digest, failed_steps
-from .formatting import swept_value
+from .formatting import short_percent, swept_value
 
 RESIDUAL = 1e-6  # relative; more is no solution of the system
 SINGLE_RESIDUAL = 1e-3  # the same where 32 bits were asked for: they leave 1e-4 at 10,000 nodes
@@ -173,7 +173,7 @@ def reading(case: CaseResult, model: str) -> Reading | None:
     second = _second_order(case, model)
     if second > BEYOND_LINEAR:
         message = (
-            f"the load is beyond small displacements: terms of second order are {second:.1e} of the volume"
+            f"the load is beyond small displacements: second order is {short_percent(second)} of the volume"
         )
         return Reading("beyond-linear", message, "take a smaller load or a nonlinear solver", **values)
     return Reading("converged", "", "", **values)

@@ -78,8 +78,8 @@ class Shortfall:
 
     @cached_property
     def elements(self) -> str | None:
-        """Elements that solve the linear problem and are held against the reference."""
-        return next((n for n in LINEAR_ELEMENTS if n in self.digest.compared and n != self.model), None)
+        """Elements that solve the linear problem and are held against the reference; the model itself may be."""
+        return next((name for name in LINEAR_ELEMENTS if name in self.digest.compared), None)
 
     @cached_property
     def without_inclusions(self) -> str | None:

@@ -115,6 +115,8 @@ def test_small_strain_has_ended_where_linear_elements_are_as_far_off() -> None:
     found = causes(make_run([ended]))
     assert found.keys() == {SMALL_STRAIN}
     assert both(found[SMALL_STRAIN]) == pytest.approx((0.114, 0.114), rel=1e-9)
+    itself = growing({"fem-linear": (0.2, 0.2, 0.2)}, steps=(0.8, 0.9, 1.0))
+    assert causes(make_run([itself]), "fem-linear").keys() == {SMALL_STRAIN}
     small = growing({"vdm-vector": (0.2, 0.2, 0.2), "fem-linear": (0.001, 0.005, 0.01)})
     assert SMALL_STRAIN not in causes(make_run([small]))
 
