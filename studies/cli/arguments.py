@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import stat
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -101,25 +100,11 @@ def given_run_directory(text: str) -> Path:
         raise UsageError(str(error)) from None
 
 
-def directory(text: str) -> Path:
-    """A directory to write into; "" would be the one that one stands in."""
+def place(text: str) -> Path:
+    """A file or a directory to write; "" would be the directory that one stands in."""
     if not text.strip():
-        raise argparse.ArgumentTypeError("name a directory, or leave the option out")
+        raise argparse.ArgumentTypeError("name a place to write to, or leave the option out")
     return Path(text)
-
-
-def output_file(text: str) -> Path:
-    """A file to write: a new one, or one that is there under its own name."""
-    if not text.strip():
-        raise argparse.ArgumentTypeError("name a file, or leave the option out")
-    path = Path(text)
-    try:
-        found = os.lstat(path)
-    except (OSError, ValueError):  # which writing tells, or reading
-        return path
-    if not stat.S_ISREG(found.st_mode):
-        raise argparse.ArgumentTypeError(f"{text}: is no regular file; name one, not a link to it")
-    return path
 
 
 def change(text: str) -> str:
@@ -199,7 +184,7 @@ STUDY_READS = (
     ),
     option(
         "--cache",
-        type=directory,
+        type=place,
         metavar="DIR",
         help="where meshes and answers are kept (default VDMBENCH_CACHE, else results/cache)",
     ),
@@ -217,7 +202,7 @@ CASE = option("--case", type=positive, default=1, metavar="N", help="of a sweep 
 RUNS = (
     option(
         "--out",
-        type=directory,
+        type=place,
         metavar="DIR",
         help="run directory (default results/runs/NAME; another --surface of the same file name needs its own)",
     ),
@@ -231,5 +216,5 @@ RUNS = (
 PLANS = (study_argument(), *STUDY_READS, CHANGES, *RUNS, flag("--fresh", "run every case again"))
 RUN = option("directory", type=run_directory, metavar="DIR", help="run directory")
 BASELINE = option(
-    "--baseline", type=output_file, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
+    "--baseline", type=place, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
 )

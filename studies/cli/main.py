@@ -27,23 +27,13 @@ class _Interrupt:
             raise KeyboardInterrupt
 
 
-def _dropped(error: sys.UnraisableHookArgs) -> None:
-    """An interrupt that fell into one of Python's own callbacks, which drop it, comes again."""
-    if error.exc_type is KeyboardInterrupt:
-        signal.setitimer(signal.ITIMER_REAL, 0.05)
-    else:
-        sys.__unraisablehook__(error)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of `vdmbench`: ends the process with the exit code of the verb."""
     interrupt = _Interrupt()
     for number in (signal.SIGINT, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a script, or by nohup
             signal.signal(number, interrupt)
-    for number in (signal.SIGTERM, signal.SIGALRM):
-        signal.signal(number, interrupt)
-    sys.unraisablehook = _dropped
+    signal.signal(signal.SIGTERM, interrupt)
     gc.set_threshold(_OBJECTS)
     # which would be looked for in every installed package
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")

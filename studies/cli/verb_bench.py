@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..machine import cache_directory, results_directory
-from .arguments import STUDY_READS, directory, option, study_argument
+from .arguments import STUDY_READS, option, place, study_argument
 from .output import OK, UsageError, print_json, print_table, tell
 from .studies import load, make_plan
 
@@ -17,7 +17,7 @@ ARGUMENTS = (
         "?",
     ),
     *STUDY_READS,
-    option("--out", type=directory, metavar="DIR", help="directory (default results/bench)"),
+    option("--out", type=place, metavar="DIR", help="directory (default results/bench)"),
 )
 
 

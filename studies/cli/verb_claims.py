@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..machine import cache_directory
-from .arguments import directory, option, output_file
+from .arguments import option, place
 from .output import OK, UsageError, folded, print_json, print_table, tell
 
 SUMMARY = "put the paper's claims on trial over three bodies, two meshes and two materials, in some minutes"
@@ -21,11 +21,11 @@ ARGUMENTS = (
     ),
     option(
         "--out",
-        type=output_file,
+        type=place,
         metavar="FILE",
         help="write what was measured as CSV, a line a row and case",
     ),
-    option("--cache", type=directory, metavar="DIR", help="where meshes are kept"),
+    option("--cache", type=place, metavar="DIR", help="where meshes are kept"),
 )
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..machine import whole_directory, write_atomically
-from .arguments import CASE, STUDY_READS, directory, given_run_directory, option, study_argument
+from .arguments import CASE, STUDY_READS, given_run_directory, option, place, study_argument
 from .output import OK, UsageError, print_json
 from .studies import load, make_plan, numbered_case
 
@@ -20,7 +20,7 @@ MORE = (
 ARGUMENTS = (
     study_argument(", or a run directory"),
     *STUDY_READS,
-    option("--to", type=directory, required=True, metavar="OUT", help="a new or an empty directory"),
+    option("--to", type=place, required=True, metavar="OUT", help="a new or an empty directory"),
     CASE,
 )
 

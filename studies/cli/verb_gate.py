@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .arguments import BASELINE, RUN, flag, option, output_file
+from .arguments import BASELINE, RUN, flag, option, place
 from .output import NOTHING_COMPARED, OK, REGRESSED, complain, print_json
 from .studies import baseline_of
 
@@ -13,8 +13,8 @@ ARGUMENTS = (
     RUN,
     BASELINE,
     flag("--allow-missing", "compare what is there; by default what is missing or not comparable is 6"),
-    option("--junit", type=output_file, metavar="FILE", help="write JUnit XML too"),
-    option("--markdown", type=output_file, metavar="FILE", help="write a summary in Markdown too"),
+    option("--junit", type=place, metavar="FILE", help="write JUnit XML too"),
+    option("--markdown", type=place, metavar="FILE", help="write a summary in Markdown too"),
 )
 
 

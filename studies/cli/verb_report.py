@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from .arguments import option, output_file, run_directory
+from .arguments import option, place, run_directory
 from .output import print_run
 
 SUMMARY = "rebuild the report from the stored results"
@@ -12,7 +12,7 @@ ARGUMENTS = (
     option("directory", type=run_directory, metavar="DIR", help="run directory"),
     option(
         "--picture",
-        type=output_file,
+        type=place,
         metavar="FILE",
         help="write a PNG of reference, model and difference too",
     ),

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .arguments import CASE, CHANGES, STUDY_READS, option, output_file, study_argument
+from .arguments import CASE, CHANGES, STUDY_READS, option, place, study_argument
 from .output import OK, print_json
 from .studies import load, make_plan, numbered_case
 
@@ -21,7 +21,7 @@ ARGUMENTS = (
     CHANGES,
     option(
         "--save",
-        type=output_file,
+        type=place,
         metavar="PNG",
         help="the picture (default NAME-scene.png in this directory)",
     ),

@@ -41,34 +41,30 @@ Vector3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class SI:
-    """A quantity in `unit`: one number, or a list of `counts` numbers (0: any from 1 to `MOST_NUMBERS`)."""
+    """A quantity in `unit`: one number, or a list of `count` numbers (0: any from 1 to `MOST_NUMBERS`)."""
 
     unit: str
-    counts: tuple[int, ...] = (1,)
+    count: int = 1
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(self, _: CoreSchema, __: GetJsonSchemaHandler) -> dict[str, Any]:
-        kinds = [self._quantities(count) for count in self.counts]
-        return kinds[0] if len(kinds) == 1 else {"anyOf": kinds}
-
-    @staticmethod
-    def _quantities(count: int) -> dict[str, Any]:
-        """A number in SI units or a text with a unit; several of them, or any number of them (0)."""
-        one = {"type": ["number", "string"]}
-        if count == 1:
+        one = {"type": ["number", "string"], "unit": self.unit}
+        if self.count == 1:
             return one
-        return {"type": "array", "items": one} | ({"minItems": count, "maxItems": count} if count else {})
+        size = {"minItems": self.count, "maxItems": self.count} if self.count else {}
+        return {"type": "array", "items": one, **size}
 
     def read(self, value: Any) -> float | tuple[float, ...]:
         """Convert a value of a study file. Raises QuantityError."""
-        if self.counts == (1,) or not isinstance(value, list | tuple):
-            if 1 not in self.counts:
-                raise QuantityError(f"must be a list of {self._wanted()}, not {type_name(value)}")
+        if self.count == 1:
             return to_si(value, self.unit)
-        if not value or not {0, len(value)} & (set(self.counts) - {1}):
-            raise QuantityError(f"must have {self._wanted()}, not {len(value)}")
+        wanted = f"{self.count} numbers" if self.count else "at least one number"
+        if not isinstance(value, list | tuple):
+            raise QuantityError(f"must be a list of {wanted}, not {type_name(value)}")
+        if not value or len(value) != (self.count or len(value)):
+            raise QuantityError(f"must have {wanted}, not {len(value)}")
         if len(value) > MOST_NUMBERS:
             raise QuantityError(f"must have at most {MOST_NUMBERS:,} numbers, not {len(value):,}")
         numbers = []
@@ -78,10 +74,6 @@ class SI:
             except QuantityError as error:
                 raise QuantityError(f"item {place}: {error}") from None
         return tuple(numbers)
-
-    def _wanted(self) -> str:
-        counts = [str(count) for count in self.counts if count > 1]
-        return f"{' or '.join(counts)} numbers" if counts else "at least one number"
 
 
 def number_check(holds: Callable[[float], bool], message: str) -> AfterValidator:
@@ -156,9 +148,9 @@ Share = Annotated[
     number_check(lambda v: 0 < v <= 1, 'must be above 0 and at most 1, which is 100 % (write "5 %" or 0.05)'),
     BeforeValidator(_as_share),
 ]
-Position = Annotated[Vector3, SI("m", (3,))]
-Direction = Annotated[Vector3, SI("1", (3,)), AfterValidator(nonzero)]
-Force = Annotated[Vector3, SI("N", (3,))]
+Position = Annotated[Vector3, SI("m", 3)]
+Direction = Annotated[Vector3, SI("1", 3), AfterValidator(nonzero)]
+Force = Annotated[Vector3, SI("N", 3)]
 Modulus = Annotated[float, SI("Pa"), not_negative]
 LineForce = Annotated[float, SI("N/m"), not_negative]
 Pressure = Annotated[float, SI("Pa")]

@@ -99,9 +99,9 @@ class Tissue(Table):
         None, description="fung: b of exp(b (I1 - 3)), as Demiray has it"
     )
     exponents: (
-        Annotated[tuple[float, ...], SI("1", (0,)), number_check(lambda v: v != 0, "must not be zero")] | None
+        Annotated[tuple[float, ...], SI("1", 0), number_check(lambda v: v != 0, "must not be zero")] | None
     ) = Field(None, description="ogden: the exponents")
-    shares: Annotated[tuple[float, ...], SI("1", (0,)), positive] | None = Field(
+    shares: Annotated[tuple[float, ...], SI("1", 0), positive] | None = Field(
         None, description="ogden: share of each term in the shear modulus; they sum to 1"
     )
 
@@ -331,7 +331,7 @@ RegionRef = Annotated[
 class Load(Table):
     """[load]"""
 
-    factors: Annotated[tuple[float, ...], SI("1", (0,))] = Field(
+    factors: Annotated[tuple[float, ...], SI("1", 0)] = Field(
         (1.0,), description="the load history: factors on pressures, forces and displacements"
     )
     steps: int | None = Field(
@@ -356,7 +356,7 @@ class Load(Table):
 class Gravity(Table):
     """[gravity]"""
 
-    acceleration: Annotated[Vector3, SI("m/s^2", (3,))] = Field(description="acceleration along x, y, z")
+    acceleration: Annotated[Vector3, SI("m/s^2", 3)] = Field(description="acceleration along x, y, z")
     scanned: bool | None = Field(
         None,
         description="whether the geometry was scanned under this weight: the rest shape is found from it, and "
@@ -456,7 +456,7 @@ class Limits(Table):
         "strain of 4, a fibre three times as long as at rest"
     )
     thresholds: Annotated[
-        tuple[float, ...], SI("1", (0,)), number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")
+        tuple[float, ...], SI("1", 0), number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")
     ] = Field((0.05, 0.10), description="growths of the relative L2 displacement error to find")
 
 

@@ -155,7 +155,7 @@ class Ellipsoid(_Ball):
     """a ball, stretched along the axes"""
 
     shape: Literal["ellipsoid"]
-    semi_axes: Annotated[Vector3, SI("m", (3,)), positive] = Field(
+    semi_axes: Annotated[Vector3, SI("m", 3), positive] = Field(
         description="half of its extents along x, y, z"
     )
 
@@ -193,7 +193,7 @@ class Box(Solid):
     """a cuboid"""
 
     shape: Literal["box"]
-    size: Annotated[Vector3, SI("m", (3,)), positive] = Field(description="its extents along x, y, z")
+    size: Annotated[Vector3, SI("m", 3), positive] = Field(description="its extents along x, y, z")
 
     def extents(self) -> Extents:
         return self.size

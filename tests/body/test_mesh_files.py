@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -117,20 +115,6 @@ def write_msh(
 # --- files that are not there, not readable, or not what their name says ------------------------------
 
 
-def test_a_binary_stl_that_is_cut_or_too_long_says_so(tmp_path: Path, ball: Mesh) -> None:
-    path = write_surface(tmp_path / "ball.stl", ball.surface_points, ball.triangles)
-    whole = path.read_bytes()
-    count = len(ball.triangles)
-    assert len(whole) == 84 + 50 * count
-    for size in (84 + 50 * (count // 2), len(whole) - 50, 84):
-        path.write_bytes(whole[:size])
-        refused(path, "holds no facets, or is damaged")
-    path.write_bytes(whole + b"more")
-    refused(path, "holds no facets, or is damaged")
-    path.write_bytes(whole)
-    assert len(from_file(path).surface_nodes) > 10
-
-
 @pytest.mark.parametrize("suffix", [".stl", ".msh"])
 def test_the_size_of_a_mesh_is_known_before_it_is_made(tmp_path: Path, ball: Mesh, suffix: str) -> None:
     write_surface(tmp_path / "ball.stl", ball.surface_points, ball.triangles)
@@ -164,14 +148,6 @@ def test_missing_empty_and_foreign_files(tmp_path: Path, suffix: str) -> None:
         foreign = tmp_path / f"foreign{suffix}"
         foreign.write_bytes(content)
         refused(foreign, "cannot be read|is not a|has no|holds no|header|three coordinates|cannot be read")
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
-def test_a_file_closed_to_the_user(tmp_path: Path) -> None:
-    path = tmp_path / "a.stl"
-    path.write_bytes(b"solid")
-    path.chmod(stat.S_IWUSR)
-    refused(path, "cannot be read")
 
 
 def test_scripts_are_not_run_whatever_they_are_called(tmp_path: Path, ball: Mesh) -> None:
@@ -238,13 +214,12 @@ def in_millimetres(points: Array, triangles: Index) -> tuple[Array, Index]:
     return points * 1000, triangles
 
 
+def beyond_numbers(points: Array, triangles: Index) -> tuple[Array, Index]:
+    return points * 1e300, triangles
+
+
 def in_kilometres(points: Array, triangles: Index) -> tuple[Array, Index]:
     return points / 1000, triangles
-
-
-def test_coordinates_whose_squares_are_infinite(tmp_path: Path, ball: Mesh) -> None:
-    path = write_surface(tmp_path / "a.obj", 1e300 * ball.surface_points, ball.triangles)
-    refused(path, r"a\.obj: [0-9]+ points have coordinates that are not finite numbers below 1e\+100")
 
 
 @pytest.mark.parametrize(
@@ -252,6 +227,7 @@ def test_coordinates_whose_squares_are_infinite(tmp_path: Path, ball: Mesh) -> N
     [
         (with_inner_wall, r"open, in 1 place \(2 edges"),
         (with_a_hole_in_numbers, "points have coordinates that are not finite"),
+        (beyond_numbers, r"points have coordinates that are not finite numbers below 1e\+100"),
         (in_millimetres, "mixed-up unit; give `size`"),
         (in_kilometres, "mixed-up unit; give `size`"),
     ],
@@ -337,26 +313,6 @@ def test_polygons_are_cut_into_triangles(tmp_path: Path) -> None:
         mesh = from_file(tmp_path / name)
         assert mesh.quality["imported_points"] == 8
         assert mesh.quality["volume"] / (1 + mesh.quality["volume_change"]) == pytest.approx(1e-3, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        ("element vertex 12", "element vertex 1200000000000"),
-        ("property float x", "property float w"),
-        ("property float y", "property float x"),
-        ("property float x", "property list uchar short neighbours"),
-        ("format ascii 1.0", "format ebcdic 1.0"),
-        ("end_header", "end_heather"),
-    ],
-)
-def test_ply_headers(tmp_path: Path, change: tuple[str, str]) -> None:
-    path = tmp_path / "a.ply"
-    pv.Icosahedron(radius=0.05).clean().save(path, binary=False)
-    text = path.read_text()
-    assert change[0] in text
-    path.write_text(text.replace(*change, 1))
-    refused(path, "cannot be read as .ply; it is damaged, truncated, or does not hold vertices of x, y and z")
 
 
 # --- files with tetrahedra ----------------------------------------------------------------------------
@@ -486,26 +442,6 @@ def test_other_cells_are_named(tmp_path: Path) -> None:
         refused(tmp_path / f"mixed{suffix}", "holds vtkhexahedron cells; only four-node")
         pv.UnstructuredGrid({24: np.arange(10)[None]}, quadratic).save(tmp_path / f"quadratic{suffix}")
         refused(tmp_path / f"quadratic{suffix}", "holds vtkquadratictetra cells")
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        (b"4.1 0 8", b"4 0 8"),
-        (b"4.1 0 8", b"4.1 1 8"),
-        (b"4.1 0 8", b"9 9"),
-        (b"$EndElements", b""),
-        (b"$Nodes", b"$Knots"),
-        (b"$Nodes\n1 ", b"$Nodes\n1000000000 "),
-        (b"$Elements\n1 ", b"$Elements\n-1 "),
-    ],
-)
-def test_msh_sections(tmp_path: Path, ball: Mesh, change: tuple[bytes, bytes]) -> None:
-    path = write_named(tmp_path / "4.1-text.msh", ball)
-    data = path.read_bytes()
-    assert change[0] in data
-    path.write_bytes(data.replace(*change, 1))
-    refused(path, "truncated|holds no tetrahedra, or is damaged")
 
 
 def test_too_many_nodes_in_a_file(tmp_path: Path, ball: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -139,22 +139,6 @@ def local_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place / "run"
 
 
-def test_every_document_starts_it_so() -> None:
-    root = ROOT
-    found = [
-        line
-        for path in root.rglob("*.md")
-        if not any(part.startswith(".") for part in path.relative_to(root).parts)
-        for line in path.read_text().splitlines()
-        if re.search(r"\bdask[ -](scheduler|worker)\s+\S*(--|tcp:|tls:)", line)
-    ]
-    assert len(found) >= 2
-    for line in found:
-        assert "--host 127.0.0.1 " in line
-        assert "--dashboard-address 127.0.0.1:" in line
-        assert "--listen-address" not in line
-
-
 def test_a_killed_worker_costs_a_retry_and_ctrl_c_keeps_what_is_done(
     tmp_path: Path, scheduler: str, local_run: Path
 ) -> None:

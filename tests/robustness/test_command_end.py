@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import sys
 from pathlib import Path
 
 import pytest
@@ -53,9 +51,3 @@ def test_a_bug_is_told_from_a_regression(capsys: pytest.CaptureFixture[str]) -> 
     *trace, told = capsys.readouterr().err.splitlines()
     assert told == "vdmbench: this is a bug: KeyError('on mine'); please report it with the lines above"
     assert trace[0].startswith("Traceback")
-
-
-def test_a_call_in_the_process_of_the_tests_leaves_their_signals_as_they_were(tmp_path: Path) -> None:
-    before = signal.getsignal(signal.SIGINT), sys.unraisablehook
-    assert vdmbench("list", cwd=tmp_path).returncode == 0
-    assert (signal.getsignal(signal.SIGINT), sys.unraisablehook) == before

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 
 from tests.command import vdmbench, write_study
-from vdmbench.store.run_directory import ForeignDirectoryError, case_path, refuse_foreign
 
 
 def _content(directory: Path) -> dict[str, bytes]:
@@ -39,33 +37,5 @@ def test_no_directory_is_not_the_working_directory(tmp_path: Path, verb: str) ->
     write_study(tmp_path)
     result = vdmbench(verb, "small.toml", "--out", "", cwd=tmp_path)
     assert result.returncode == 2
-    assert "--out: name a directory" in result.stderr
+    assert "--out: name a place" in result.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["small.toml"]
-
-
-def test_what_a_run_leaves_is_a_run_directory(tmp_path: Path) -> None:
-    for name in (".lock", ".plan.json.ab.part", "study.toml", "resolved.toml", "cases/"):
-        path = tmp_path / name
-        path.mkdir() if name.endswith("/") else path.touch()
-        refuse_foreign(tmp_path)
-    (tmp_path / "thesis.tex").touch()
-    with pytest.raises(ForeignDirectoryError):
-        refuse_foreign(tmp_path)
-    (tmp_path / "plan.json").write_text("{")
-    with pytest.raises(ForeignDirectoryError):
-        refuse_foreign(tmp_path)
-    case_path(tmp_path, "ab").touch()
-    refuse_foreign(tmp_path)
-
-
-@pytest.mark.parametrize("what", ["link", "fifo"])
-def test_an_output_that_is_no_file_is_refused(
-    undisturbed: tuple[Path, float], tmp_path: Path, what: str
-) -> None:
-    (tmp_path / "theirs").write_text("theirs")
-    path = tmp_path / "out.xml"
-    path.symlink_to("theirs") if what == "link" else os.mkfifo(path)
-    result = vdmbench("gate", undisturbed[0] / "results/runs/small", "--junit", "out.xml", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "out.xml: is no regular file" in result.stderr
-    assert (tmp_path / "theirs").read_text() == "theirs"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 from pathlib import Path
@@ -70,15 +69,3 @@ def test_a_terminal_of_another_encoding_shows_what_it_can(finished: Path) -> Non
     shown = _shell("plan small.toml", "", finished, PYTHONIOENCODING="ascii")
     assert (shown.returncode, shown.stderr) == (0, "")
     assert "gr\\xf6\\xdfe \\xb1 \\u03bb" in shown.stdout
-
-
-def test_json_needs_no_letters_of_the_terminal(finished: Path) -> None:
-    text = _shell("plan small.toml --json", "", finished, PYTHONIOENCODING="ascii").stdout
-    assert json.loads(text)["study"]["title"].startswith(LABEL)
-
-
-def test_a_file_s_name_that_is_no_text_is_told(finished: Path) -> None:
-    name = os.fsdecode(b"no\xff.toml")
-    result = subprocess.run([SCRIPT, "check", name], cwd=finished, capture_output=True, check=False)
-    assert result.returncode == 2
-    assert rb"no\udcff.toml" in result.stderr

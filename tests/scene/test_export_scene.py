@@ -171,29 +171,6 @@ def test_febio_scene_is_of_the_documented_format(body: Handout, out: Path) -> No
     assert curves == {"1"}
 
 
-def test_a_reader_of_others_takes_the_febio_scene(body: Handout, out: Path) -> None:
-    """With `pip install febio-python tqdm`: it reads the body, where it is held, and its forces, in 32 bits.
-
-    It reads no prescribed displacement and no <pt> of a load curve.
-    """
-    reader = pytest.importorskip("febio_python.feb", reason="febio-python or its tqdm is not installed")
-    scene = reader.Feb(filepath=str(out / "scene.feb"))
-    (nodes,), (elements,), (material,) = scene.get_nodes(), scene.get_elements(), scene.get_materials()
-    assert_allclose(nodes.coordinates, body.mesh.points, rtol=1e-6, atol=1e-9)
-    assert elements.type == "tet4"
-    np.testing.assert_array_equal(elements.connectivity, body.mesh.tetrahedra)
-    assert (material.type, material.parameters["E"], material.parameters["v"]) == (
-        "neo-Hookean",
-        5000.0,
-        0.49,
-    )
-    sets = {part.name: part.ids for part in scene.get_nodesets()}
-    np.testing.assert_array_equal(sets["held"], np.flatnonzero(body.held & ~body.moved))
-    (load,), data = scene.get_nodal_loads(), {part.name: part.data for part in scene.get_nodal_data()}
-    assert (load.type, load.scale, load.load_curve) == ("nodal_force", "force", 1)
-    assert_allclose(data["force"], body.whole_force[sets[load.node_set]], rtol=1e-6, atol=1e-12)
-
-
 class Node:
     """As much of a node of SOFA's graph as a scene uses."""
 
@@ -279,14 +256,6 @@ def test_what_a_program_cannot_express_is_told(tmp_path: Path, tables: dict[str,
     assert all(part["stiffness"] == 1e5 and part["facets"] for part in found["springs"])
     assert len(found["inclusions"]) == ("inclusions" in told)
     assert all(part["youngs_modulus"] == 9e3 and part["tetrahedra"] for part in found["inclusions"])
-
-
-def test_the_heads_of_scenes_say_what_they_leave_out(out: Path) -> None:
-    for name in ("scene.feb", "scene_sofa.py", "scene_mujoco.xml"):
-        text = (out / name).read_text()
-        assert "too stiff at a Poisson ratio of 0.49" in text
-        assert "load factor 2" in text
-        assert "forces are dead" in text
 
 
 def test_export_of_a_study(

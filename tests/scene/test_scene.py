@@ -15,7 +15,6 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import inherit, refine
 from vdmbench.body.surface_measures import Surface, facet_area_vectors, nodal_sum
-from vdmbench.scene.placed import on_facets
 from vdmbench.scene.regions import select
 from vdmbench.scene.scene import Scene, SceneError, build_scene
 from vdmbench.study.errors import Loc, MeshError
@@ -214,21 +213,6 @@ def test_a_profile_has_one_resultant_on_every_mesh_level(sphere: Mesh, profile: 
         assert_allclose(found[1], found[-1], rtol=0.0, atol=1e-6 * size)
 
 
-def test_inside_the_rim_a_profile_is_what_its_points_say() -> None:
-    """Facets far from the rim keep the samples, to what the rule on a facet leaves."""
-    barycentric, _ = facet_quadrature()
-    geometry = {"shape": "box", "size": [0.1, 0.1, 0.04], "mesh_size": 0.004}
-    mesh = build_mesh(study(geometry=geometry).geometry)
-    region = Region.model_validate({"ball": {"center": [0, 0, 0.02], "radius": 0.03}})
-    values = on_facets("hertz", region, mesh, facet_quadrature())
-    points = np.einsum("qk,fki->fqi", barycentric, mesh.surface_points[mesh.triangles])
-    rho = np.linalg.norm(points - [0, 0, 0.02], axis=2) / 0.03
-    middle = rho.max(axis=1) < 0.4
-    assert middle.any()
-    assert_allclose(values[middle], np.sqrt(1.0 - rho[middle] ** 2), rtol=1e-3, atol=0.0)
-    assert not values[rho.min(axis=1) > 1.2].any()
-
-
 def test_contacts_add_up(sphere: Mesh) -> None:
     one = build_scene(study(), sphere)
     two = build_scene(
@@ -386,12 +370,3 @@ def test_a_scene_that_makes_no_sense_says_where(sphere: Mesh, tables: dict[str, 
     with pytest.raises(SceneError) as caught:
         build_scene(study(**tables), sphere)
     assert caught.value.place == place
-
-
-def test_a_model_that_refuses_says_why_and_spoils_nothing(sphere: Mesh) -> None:
-    scene = build_scene(study(constraints=[BASE["constraints"][1]]), sphere)
-    floating = models.run_model(scene, "fem-linear")
-    assert not floating.status[0].ok
-    assert "held" in floating.status[0].message
-    assert np.isnan(floating.displacement).all()
-    assert models.run_model(scene, "vdm-paper").status[0].ok, "VDM stands on its own foundation"

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from vdmbench.study.toml_lines import MAX_DEPTH, NotToml, TooLarge, key_lines
@@ -97,68 +96,6 @@ def test_every_kind_of_key_is_on_its_line() -> None:
 )
 def test_awkward_texts_give_the_keys_of_tomllib(text: str) -> None:
     assert set(key_lines(text)) == paths_of(tomllib.loads(text))
-
-
-KEYS = st.text("ab-_. \"'\\#[]{}=,é\u2028😀", max_size=4) | st.sampled_from("abc")
-SCALARS = st.one_of(
-    st.integers(-5, 5).map(str),
-    st.sampled_from(["true", "1.5e3", "inf", "2020-01-02", '"a]\\"}"', "'#,'", '"""\n[x]\n"""', "'''\n'''"]),
-)
-
-
-@st.composite
-def value_texts(draw: st.DrawFn, depth: int = 3) -> str:
-    kind = draw(st.sampled_from(["scalar", "list", "table"])) if depth else "scalar"
-    if kind == "scalar":
-        return draw(SCALARS)
-    if kind == "list":
-        gaps = st.sampled_from(["", " ", "\n", " # ] , {\n  "])
-        items = draw(st.lists(value_texts(depth=depth - 1), max_size=3))
-        return "[" + "".join(f"{draw(gaps)}{item}{draw(gaps)}," for item in items) + draw(gaps) + "]"
-    keys = draw(st.lists(KEYS, max_size=3, unique=True))
-    inside = ", ".join(
-        f"{quoted(k, draw(st.booleans()))} = {draw(value_texts(depth=depth - 1))}" for k in keys
-    )
-    return "{ " + inside + " }"
-
-
-def quoted(key: str, bare: bool) -> str:
-    """A key as TOML text: bare where it can be, else in one of the two kinds of quotes."""
-    if bare and re.fullmatch("[A-Za-z0-9_-]+", key):
-        return key
-    if not bare and "'" not in key:
-        return f"'{key}'"
-    return '"' + key.replace("\\", "\\\\").replace('"', '\\"') + '"'
-
-
-@st.composite
-def documents(draw: st.DrawFn) -> str:
-    """A TOML text that is often valid: headers and dotted keys of few names, so that they meet."""
-    parts = []
-    for _ in range(draw(st.integers(0, 6))):
-        dotted = ".".join(
-            quoted(k, draw(st.booleans())) for k in draw(st.lists(KEYS, min_size=1, max_size=3))
-        )
-        kind = draw(st.sampled_from(["key", "key", "table", "array", "comment"]))
-        if kind == "key":
-            parts.append(f"{dotted} = {draw(value_texts())}")
-        elif kind == "comment":
-            parts.append("  # " + dotted)
-        else:
-            parts.append(f"[{dotted}]" if kind == "table" else f"[[{dotted}]]")
-    return draw(st.sampled_from(["\n", "\r\n", "\n\n"])).join(parts)
-
-
-@settings(suppress_health_check=[HealthCheck.too_slow])
-@given(documents())
-def test_the_same_keys_as_tomllib(text: str) -> None:
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return
-    lines = key_lines(text)
-    assert set(lines) == paths_of(data)
-    assert all(1 <= line <= text.count("\n") + 1 for line in lines.values())
 
 
 @given(st.text(alphabet="[]{}=.,'\"#\\ab1 \n", max_size=40))
