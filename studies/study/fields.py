@@ -263,7 +263,7 @@ def _row(table: Node, name: str, prefix: str) -> FieldRow:
     node = table["properties"][name]
     default = node.get("default", "")
     text = str(default).lower() if isinstance(default, bool) else str(default)
-    needed = name in table.get("needs", table.get("required", []))
+    needed = name in (*table.get("needs", ()), *table.get("required", ()))
     return FieldRow(prefix + name, _kind(node), "required" if needed else text, node.get("description", ""))
 
 
