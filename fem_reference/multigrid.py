@@ -19,51 +19,94 @@ from fem_reference.loads import rigid_modes
 from fem_reference.mesh import TetMesh
 from fem_reference.system import LinearSystem, hold_components
 from solver_common.arrays import Array, Index
+from solver_common.jit import compiled
 from solver_common.solution import solver_error
 
 _POWER_STEPS = 12
 _COARSEST = 50  # nodes of the level that is solved densely
 _SMOOTHED_SHARE = 10.0  # the smoother damps eigenvalues down to the largest over this
+_MASS_STEPS = 5
 _MASS_BOUNDS = (0.5, 2.5)  # of the P1 tetrahedral mass matrix over its diagonal (Wathen 1987)
 
 
-class Chebyshev:
-    """A fixed number of Chebyshev steps for D^-1 A on [low, high] (Saad, Iterative Methods, alg. 12.1)."""
+class BlockSmoother:
+    """Two Chebyshev steps for D^-1 A, D the 3x3 diagonal blocks of A (Saad, Iterative Methods, alg. 12.1).
 
-    def __init__(self, matrix: csr_array | bsr_array, inverse_diagonal: csr_array, degree: int) -> None:
-        self._matrix = matrix
-        self._inverse = inverse_diagonal
-        self._degree = degree
-        self.low, self.high = 0.0, 0.0
+    Blocks are kept in single precision, half as much to read: a preconditioner need not be exact, but linear, which
+    it would not be with rounded vectors.
+    """
 
-    def set_bounds(self, low: float, high: float) -> None:
-        """Set the interval that is damped."""
-        self.low, self.high = low, high
+    def __init__(self, matrix: bsr_array) -> None:
+        rows, columns = matrix.indptr, matrix.indices
+        of = np.repeat(np.arange(len(rows) - 1), np.diff(rows))
+        inverse = np.linalg.inv(matrix.data[columns == of])
+        self._matrix = rows, columns, matrix.data.astype(np.float32), inverse.astype(np.float32)
+        high = 1.1 * self._largest_eigenvalue(matrix.shape[0])
+        self._middle = 0.5 * (high + high / _SMOOTHED_SHARE)
+        self._half = 0.5 * (high - high / _SMOOTHED_SHARE)
 
-    def largest_eigenvalue(self) -> float:
+    def __call__(self, rhs: Array, start: Array | None = None) -> Array:
+        """Improve `start` (None: zero) towards A x = rhs."""
+        x = np.zeros_like(rhs) if start is None else start.copy()
+        residual = rhs.copy()
+        step = _advance(*self._matrix, start, residual, x, 0.0, 1.0 / self._middle)
+        ratio = self._half / self._middle
+        following = 1.0 / (2.0 / ratio - ratio)
+        _advance(*self._matrix, step, residual, x, following * ratio, 2.0 * following / self._half)
+        return x
+
+    def residual(self, rhs: Array, x: Array) -> Array:
+        """Rhs - A x."""
+        left = rhs.copy()
+        _advance(*self._matrix, x, left, np.zeros_like(x), 0.0, 0.0)
+        return left
+
+    def _largest_eigenvalue(self, size: int) -> float:
         """Estimate of the largest eigenvalue of D^-1 A by power iteration from a fixed start."""
-        x = np.random.default_rng(0).standard_normal(self._matrix.shape[0])
+        x = np.random.default_rng(0).standard_normal(size)
         value = 0.0
         for _ in range(_POWER_STEPS):
             x /= np.linalg.norm(x)
-            x = self._inverse @ (self._matrix @ x)
+            x = _advance(*self._matrix, x, np.zeros_like(x), np.zeros_like(x), 0.0, -1.0)
             value = float(np.linalg.norm(x))
         return value
 
-    def __call__(self, rhs: Array, x: Array | None = None) -> Array:
-        """Improve `x` (None: zero) towards A x = rhs."""
-        middle, half = 0.5 * (self.high + self.low), 0.5 * (self.high - self.low)
-        residual = rhs if x is None else rhs - self._matrix @ x
-        step = (self._inverse @ residual) / middle
-        x = step.copy() if x is None else x + step
-        ratio = half / middle
-        for _ in range(self._degree - 1):
-            residual = residual - self._matrix @ step
-            following = 1.0 / (2.0 * middle / half - ratio)
-            step = following * ratio * step + (2.0 * following / half) * (self._inverse @ residual)
-            x += step
-            ratio = following
-        return np.asarray(x)
+
+@compiled
+def _advance(
+    rows: NDArray[np.int32],
+    columns: NDArray[np.int32],
+    blocks: NDArray[np.float32],
+    inverse: NDArray[np.float32],
+    step: Array | None,
+    residual: Array,
+    x: Array,
+    kept: float,
+    gain: float,
+) -> Array:
+    """After a step was taken (None: nowhere) update the residual, find the next one and take that as well.
+
+    It is kept * step + gain * D^-1 residual.
+    """
+    following = np.empty_like(x)
+    for row in range(len(rows) - 1):
+        first, second, third = residual[3 * row], residual[3 * row + 1], residual[3 * row + 2]
+        if step is not None:
+            for k in range(rows[row], rows[row + 1]):
+                block, at = blocks[k], 3 * columns[k]
+                a, b, c = step[at], step[at + 1], step[at + 2]
+                first -= block[0, 0] * a + block[0, 1] * b + block[0, 2] * c
+                second -= block[1, 0] * a + block[1, 1] * b + block[1, 2] * c
+                third -= block[2, 0] * a + block[2, 1] * b + block[2, 2] * c
+            residual[3 * row], residual[3 * row + 1], residual[3 * row + 2] = first, second, third
+        for i in range(3):
+            own = inverse[row, i]
+            value = gain * (own[0] * first + own[1] * second + own[2] * third)
+            if step is not None:
+                value += kept * step[3 * row + i]
+            following[3 * row + i] = value
+            x[3 * row + i] += value
+    return following
 
 
 class DisplacementPreconditioner:
@@ -77,7 +120,6 @@ class DisplacementPreconditioner:
 
     def __init__(self, system: LinearSystem) -> None:
         mesh = system.mesh
-        self._stiffness = system.stiffness
         vertices = system.kept[system.kept < mesh.n_vertices]
         self._free = ~system.held[vertices]
         self._levels: tuple[csr_array, csr_array] | None = None
@@ -88,9 +130,7 @@ class DisplacementPreconditioner:
         if mesh.order == 1:
             coarse = bsr_matrix(system.stiffness)
         else:
-            self._smoother = Chebyshev(system.stiffness, _inverse_blocks(system.stiffness), degree=2)
-            high = 1.1 * self._smoother.largest_eigenvalue()
-            self._smoother.set_bounds(high / _SMOOTHED_SHARE, high)
+            self._smoother = BlockSmoother(system.stiffness)
             prolongation = _prolongation(mesh, system.kept, vertices)
             self._levels = (prolongation, csr_array(prolongation.T))
             coarse = _galerkin(system.stiffness, prolongation, self._free)
@@ -113,7 +153,7 @@ class DisplacementPreconditioner:
             return np.asarray(self._cycle @ residual)
         prolongation, restriction = self._levels
         u = self._smoother(residual)
-        coarse = restriction @ (residual - self._stiffness @ u).reshape(-1, 3)
+        coarse = restriction @ self._smoother.residual(residual, u).reshape(-1, 3)
         coarse *= self._free
         correction = (self._cycle @ coarse.ravel()).reshape(-1, 3)
         u += (prolongation @ correction).ravel()
@@ -133,27 +173,31 @@ class BlockPreconditioner:
         self._system = system
         if system.mass is None:
             return
-        diagonal = system.mass.diagonal()
-        n = len(diagonal)
-        inverse = csr_array((1.0 / diagonal, np.arange(n), np.arange(n + 1)), shape=(n, n))
-        self._mass = Chebyshev(system.mass, inverse, degree=5)
-        self._mass.set_bounds(*_MASS_BOUNDS)
+        self._inverse_diagonal = 1.0 / system.mass.diagonal()
 
     def __call__(self, residual: Array) -> Array:
         """Approximate solution of the whole system."""
         top = residual[: self._split]
-        gradient = self._system.gradient
-        if gradient is None:
+        gradient, mass = self._system.gradient, self._system.mass
+        if gradient is None or mass is None:
             return self._displacement(top)
-        pressure = -self._mass(residual[self._split :]) / self._system.schur_factor
+        pressure = -self._over_mass(mass, residual[self._split :]) / self._system.schur_factor
         return np.concatenate([self._displacement(top + gradient @ pressure), pressure])
 
-
-def _inverse_blocks(matrix: bsr_array) -> csr_array:
-    n = matrix.shape[0] // 3
-    rows = np.repeat(np.arange(n), np.diff(matrix.indptr))
-    inverse = np.linalg.inv(matrix.data[matrix.indices == rows])
-    return csr_array(bsr_array((inverse, np.arange(n), np.arange(n + 1)), shape=matrix.shape))
+    def _over_mass(self, mass: csr_array, rhs: Array) -> Array:
+        """M^-1 rhs by Chebyshev steps for the mass matrix over its diagonal."""
+        low, high = _MASS_BOUNDS
+        middle, half = 0.5 * (high + low), 0.5 * (high - low)
+        ratio = half / middle
+        residual, step = rhs, self._inverse_diagonal * rhs / middle
+        x = step.copy()
+        for _ in range(_MASS_STEPS - 1):
+            residual = residual - mass @ step
+            following = 1.0 / (2.0 * middle / half - ratio)
+            step = following * ratio * step + (2.0 * following / half) * (self._inverse_diagonal * residual)
+            x += step
+            ratio = following
+        return np.asarray(x)
 
 
 def _prolongation(mesh: TetMesh, kept: Index, vertices: Index) -> csr_array:
