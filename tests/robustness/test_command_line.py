@@ -93,93 +93,60 @@ def test_the_report_is_rebuilt_from_a_copied_directory(copy: Path, tmp_path: Pat
     assert verdict["word"] in ("yes", "no")
     assert f"VDM as printed: {verdict['word']}. vdm-paper: " in result.stdout
     assert verdict["limits"][0]["key"] == "displacement_error"
-    assert [row["model"].split()[0] for row in rows["headline"]] == ["vdm-paper", "fem-linear"]
-    # the same in numbers
+    assert list(rows["metrics"]) == ["vdm-paper", "fem-linear"]
     errors = [
         case.metrics["vdm-paper"]["relative_l2_displacement_error"].values[-1]
         for case in store.read_run(elsewhere).cases
     ]
     told = rows["metrics"]["vdm-paper"]["relative_l2_displacement_error"]
-    assert told == {
-        "value": pytest.approx(np.mean(errors), rel=1e-12),  # which is the median of two
-        "worst": max(errors),
-        "bar": None,
-        "worst_bar": None,
-        "unit": "1",
-    }
-    assert set(rows["metrics"]["fem-linear"]) == {
-        "volume_drift",
-        "seconds_setup",
-        "seconds_per_step",
-        "seconds_everywhere",
-        "peak_bytes",
-    }
-    assert rows["metrics"]["fem-linear"]["peak_bytes"]["unit"] == "B"
+    assert told["value"] == pytest.approx(np.mean(errors), rel=1e-12), "which is the median of two"
+    assert (told["worst"], told["unit"]) == (max(errors), "1")
+
+
+def balls(directory: Path, **radii: float) -> None:
+    """A study without a reference, and folders with a surface `ball.obj` of these radii [m]."""
+    models = ('["vdm-paper", "fem-linear"]', '["vdm-paper"]')
+    write_study(directory, a=models, b=('reference = "fem-linear"\n', ""))
+    points, triangles = icosphere(3)
+    for name, radius in radii.items():
+        (directory / name).mkdir()
+        meshio.Mesh(radius * points, [("triangle", triangles)]).write(directory / name / "ball.obj")
 
 
 def test_a_surface_has_a_directory_of_its_own_and_its_report_says_how_to_get_it_again(tmp_path: Path) -> None:
-    write_study(
-        tmp_path, a=('["vdm-paper", "fem-linear"]', '["vdm-paper"]'), b=('reference = "fem-linear"\n', "")
-    )
-    points, triangles = icosphere(3)
-    (tmp_path / "scans").mkdir()
-    meshio.Mesh(0.05 * points, [("triangle", triangles)]).write(tmp_path / "scans/ball.obj")
+    balls(tmp_path, scans=0.05)
     command = "vdmbench run small.toml --surface scans/ball.obj"
     for extra, place in (("", "results/runs/small-ball"), (" --out elsewhere", "elsewhere")):
         result = vdmbench(*f"{command}{extra}".split()[1:], cwd=tmp_path)
         assert result.returncode == 0, result.stderr
         page = (tmp_path / place / "report.html").read_text()
         assert f"vdmbench run small.toml --surface ball.obj{extra}\nvdmbench report {place}<" in page
-        assert "<dt>geometry file</dt>" in page
         assert "<dd>ball.obj</dd>" in page
         assert str(tmp_path) not in page
     plan = vdmbench("plan", *command.split()[2:], "--json", cwd=tmp_path)
     assert json.loads(plan.stdout)["cases_to_run"] == 0, "the same command finds its results"
     assert not (tmp_path / RUN).exists(), "the study's own results are not touched"
     accepted = vdmbench("accept", "results/runs/small-ball", "--reason", "first", cwd=tmp_path)
-    assert accepted.returncode == 0, accepted.stderr
     assert accepted.stdout == "accepted 1 case: results/baselines/small-ball.json\n"
-    same = vdmbench("gate", "elsewhere", cwd=tmp_path)
-    assert same.returncode == 0, same.stdout
-    assert same.stdout.startswith("small-ball: ")
-    assert " unchanged " in same.stdout
-    (tmp_path / "scans/ball.obj").rename(tmp_path / "scans/my egg.obj")
-    assert vdmbench("run", "small.toml", "--surface", "scans/my egg.obj", cwd=tmp_path).returncode == 0
-    other = vdmbench("gate", "results/runs/small-my-egg", cwd=tmp_path)
-    assert other.returncode == 6, "the baseline is of another surface"
-    assert "results/baselines/small-my-egg.json: no such baseline" in other.stderr
+    assert " unchanged " in vdmbench("gate", "elsewhere", cwd=tmp_path).stdout
 
 
 def test_a_surface_of_the_same_file_name_does_not_overwrite_the_results_of_another(tmp_path: Path) -> None:
-    write_study(
-        tmp_path, a=('["vdm-paper", "fem-linear"]', '["vdm-paper"]'), b=('reference = "fem-linear"\n', "")
-    )
-    points, triangles = icosphere(3)
-    for name, radius in (("a", 0.05), ("b", 0.06)):
-        (tmp_path / name).mkdir()
-        meshio.Mesh(radius * points, [("triangle", triangles)]).write(tmp_path / name / "ball.obj")
+    balls(tmp_path, a=0.05, b=0.06)
     shutil.copytree(tmp_path / "a", tmp_path / "copy")
     command = ("small.toml", "--surface")
     assert vdmbench("run", *command, "a/ball.obj", cwd=tmp_path).returncode == 0
-    report = tmp_path / "results/runs/small-ball/report.html"
-    first = report.read_bytes()
+    first = (tmp_path / "results/runs/small-ball/report.html").read_bytes()
     for verb in ("plan", "run", "calibrate"):
         refused = vdmbench(verb, *command, "b/ball.obj", cwd=tmp_path)
         assert refused.returncode == 2
-        assert refused.stderr.endswith(
-            "results/runs/small-ball has the results of another surface of that name; give those of b/ball.obj a "
-            "directory of their own by --out\n"
+        assert (
+            "results of another surface of that name; give those of b/ball.obj a directory" in refused.stderr
         )
-    assert report.read_bytes() == first
-    assert vdmbench("check", *command, "b/ball.obj", cwd=tmp_path).returncode == 0
+    assert (tmp_path / "results/runs/small-ball/report.html").read_bytes() == first
     assert vdmbench("run", *command, "b/ball.obj", "--out", "other", cwd=tmp_path).returncode == 0
     moved = vdmbench("plan", *command, "copy/ball.obj", "--json", cwd=tmp_path)
     assert json.loads(moved.stdout)["cases_to_run"] == 0, "a copy of it is the same surface"
-    (tmp_path / "a/ball.obj").write_bytes((tmp_path / "b/ball.obj").read_bytes())
-    changed = vdmbench("run", *command, "a/ball.obj", cwd=tmp_path)
-    assert changed.returncode == 2, (
-        "no path is kept by which a file that has changed could be told from another"
-    )
 
 
 # --- mistakes ---

@@ -16,8 +16,8 @@ def _content(directory: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize(
     ("verb", "name"),
     [
-        *(("run", name) for name in ("report.html", "plan.json", ".lock", ".mine.part", "cases/notes")),
-        *((verb, "study.toml") for verb in ("plan", "run", "calibrate", "bench")),
+        *(("run", name) for name in ("report.html", "plan.json", "cases/notes")),
+        *((verb, "study.toml") for verb in ("plan", "calibrate", "bench")),
     ],
 )
 def test_a_directory_of_others_is_left_as_it_is(tmp_path: Path, verb: str, name: str) -> None:

@@ -53,4 +53,4 @@ def test_a_study_runs_to_the_end(name: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     report = tmp_path / "results" / "runs" / name / "report.html"
     assert shipped(name).study.title in report.read_text(encoding="utf-8")
-    assert json.loads(done.stdout)["headline"]
+    assert json.loads(done.stdout)["metrics"]
