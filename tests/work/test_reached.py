@@ -9,9 +9,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.command import vdmbench
+from vdmbench.body.geometry import build_mesh
+from vdmbench.body.refine import Hierarchy
 from vdmbench.measures.case import CaseResult
+from vdmbench.models.model import run_model
 from vdmbench.report.summary import summary
+from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_run
+from vdmbench.study.config import load_study
+from vdmbench.work.keys import Wanted
+from vdmbench.work.reached import at_what_was_reached
 
 SOFT = """
 [study]
@@ -45,13 +52,17 @@ factors = FACTORS
 """
 
 
-def _run(folder: Path, factors: list[float], levels: int, weight: float = 1.0, code: int = 0) -> CaseResult:
-    folder.mkdir()
-    given = {"FACTORS": factors, "GRAVITY": -9.81 * weight}
+def _written(folder: Path, factors: list[float], levels: int = 1, weight: float = 1.0) -> Path:
     text = SOFT + (f"[uncertainty]\nlevels = {levels}\n" if levels > 1 else "")
-    for name, value in given.items():
+    for name, value in {"FACTORS": factors, "GRAVITY": -9.81 * weight}.items():
         text = text.replace(name, str(value))
     (folder / "soft.toml").write_text(text)
+    return folder / "soft.toml"
+
+
+def _run(folder: Path, factors: list[float], levels: int, weight: float = 1.0, code: int = 0) -> CaseResult:
+    folder.mkdir()
+    _written(folder, factors, levels, weight)
     result = vdmbench("run", "soft.toml", "--out", "out", "--cache", folder / "cache", cwd=folder)
     assert result.returncode == code, result.stdout + result.stderr
     (case,) = read_run(folder / "out").cases
@@ -95,3 +106,24 @@ def test_the_load_that_was_reached_is_compared_and_is_not_the_full_load(
     assert told["judgement"]["unreached"][0]["share"] == reached
     page = (tmp_path / "whole" / "out" / "report.html").read_text()
     assert f"at {reached:.3g}" in page
+
+
+def test_boundary_elements_and_their_reference_are_compared_where_either_ends(tmp_path: Path) -> None:
+    study = load_study(_written(tmp_path, [0.1, 1.0]))
+    mesh = build_mesh(study.geometry)
+    scene, names = build_scene(study, mesh), ("bem:nonlinear", "fem")
+    found = [(Wanted(name, 0, "", "", (), ()), run_model(scene, name)) for name in names]
+    places, merged = at_what_was_reached(study, scene, found, lambda _: Hierarchy((mesh,)))
+    first, boundary, reference, last = places.tolist()
+    assert (first, last) == (1.0, 2.0)
+    assert 1.0 < boundary < reference < 2.0
+    answered = {want.name: [status.ok for status in result.status] for want, result in merged}
+    assert answered == {"bem:nonlinear": [True, True, False, False], "fem": [True, True, True, False]}
+    for place, end in ((1, boundary), (2, reference)):
+        (factor,) = scene.factors_at(np.array([end]))
+        way = build_scene(load_study(_written(tmp_path, [0.1, float(factor)])), mesh)
+        for name, (_, result) in zip(names, merged, strict=True):
+            if answered[name][place]:
+                alone = run_model(way, name).displacement[1]
+                largest = np.abs(alone).max()
+                assert_allclose(result.displacement[place], alone, rtol=0, atol=1e-6 * largest, err_msg=name)
