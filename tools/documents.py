@@ -10,11 +10,14 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from tests.command import vdmbench_process
+from vdmbench.measures.metrics import DEFORMATION, VECTOR
+from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.study.fields import FieldRow, field_table
+from vdmbench.verdict.formatting import percent
 
 ROOT = Path(__file__).parents[1]
 CASES = ROOT / "studies" / "cases"
@@ -24,7 +27,7 @@ STUDY_KEYS = ROOT / "studies" / "STUDY.md"
 GALLERY = ROOT / "docs" / "gallery"
 NOTEBOOK = ROOT / "docs" / "reference" / "quickstart.ipynb"
 FEW_KEYS = 2  # of a table that the reference of the keys puts together with others
-COLUMNS = ("model", "displacement error", "change of shape")
+COLUMNS = {VECTOR: "displacement error", DEFORMATION: "change of shape"}
 
 
 def finished(*words: str | Path, cwd: Path = ROOT, codes: tuple[int, ...] = (0,), **environment: str) -> str:
@@ -72,9 +75,14 @@ def _found(text: str, document: Path, name: str) -> re.Match[str]:
 
 def headline_table(directory: Path) -> str:
     """The errors of the quickstart as Markdown, run in `directory`: median, bar and worst case."""
-    rows = json.loads(finished("run", "quickstart", "--json", cwd=directory))["headline"]
-    rated = [row for row in rows if row["displacement error"] != "–"]
-    return table(COLUMNS, ([row[column] for column in COLUMNS] for row in rated))
+    found = json.loads(finished("run", "quickstart", "--json", cwd=directory))["metrics"]
+
+    def cell(number: Mapping[str, float]) -> str:
+        resolved = "" if is_resolved(number["value"], number["bar"]) else " unresolved"
+        return f"{percent(number['value'])} ± {percent(number['bar'])}{resolved}, worst {percent(number['worst'])}"
+
+    rated = ((name, [own[metric] for metric in COLUMNS]) for name, own in found.items() if VECTOR in own)
+    return table(["model", *COLUMNS.values()], ([name, *map(cell, numbers)] for name, numbers in rated))
 
 
 def notebook() -> str:

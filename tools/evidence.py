@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import importlib
 import json
+import shutil
 import sys
 import tempfile
 import tomllib
@@ -467,6 +468,40 @@ def performance(name: str, arguments: Sequence[str]) -> None:
     machine = f"{bench.machine['processor']}, one thread; medians of {bench.machine['rounds']} rounds"
     of_one = table(head[2:], [row[2:] for row in rows if row[0] == own["body"]])
     show(ROOT / own["document"], own["part"], f"{machine}; the {own['body']}.\n\n{of_one}")
+
+
+# --- results/calibrations.md ---
+
+STORED = ROOT / "results" / "calibrations"
+
+
+def calibrations(name: str, _: Sequence[str]) -> None:
+    """Every shipped body calibrated, each fit tried on all others; the values to paste, and all figures as JSON."""
+    own, found = EVIDENCE[name], {}
+    for study in own["studies"]:
+        others = [word for other in own["studies"] if other != study for word in ("--transfer", other)]
+        found[study] = json.loads(finished("calibrate", study, *others, "--json"))[study]
+        for suffix in ("toml", "json"):
+            shutil.copy(RUNS / study / f"calibration.{suffix}", STORED / f"{study}.{suffix}")
+    show(ROOT / own["document"], own["part"], calibrations_table(found))
+
+
+def calibrations_table(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """A line for each model and body: study -> model -> its calibration as `vdmbench calibrate --json` has it."""
+    from vdmbench.calibrate import Errors, bars_in_percent, in_percent
+
+    rows = []
+    for model in EVIDENCE["calibrations"]["models"]:
+        for study, entries in found.items():
+            fit, transfer = entries[model]["fit"], entries[model]["transfer"]
+            by_rule, held_out = (Errors(**fit[part]) for part in ("by_rule", "held_out"))
+            there = [errors["vector"] for errors in transfer.values()]
+            multiples = ", ".join(f"{value:.2g}" for value in fit["multiples"].values())
+            cells = [model, study.removeprefix("calibrate-"), multiples, in_percent(by_rule)]
+            cells += [in_percent(held_out), bars_in_percent(held_out)]
+            rows.append([*cells, f"{percent(min(there))} to {percent(max(there))}"])
+    head = ["model", "body", "times its rule", "by rule", "fitted", "reference's own", "other bodies"]
+    return table(head, rows)
 
 
 # --- docs/methods/measures.md ---

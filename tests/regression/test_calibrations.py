@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 from numpy.testing import assert_allclose
 
-from tools.calibrations import DOCUMENT, ROOT, STUDIES, TABLES, document
+from tools.documents import ROOT, shown
+from tools.evidence import EVIDENCE, STORED, calibrations_table
 from vdmbench.calibrate import as_json, body, calibrate
 from vdmbench.report.rebuild import rebuild
 from vdmbench.study.config import expand, load_study
@@ -18,6 +19,7 @@ from vdmbench.work.keys import direction, load_steps
 from vdmbench.work.plan import make_plan
 from vdmbench.work.run import Options, run_plan
 
+STUDIES: list[str] = EVIDENCE["calibrations"]["studies"]
 SAME = 1e-3  # of a multiple: the search ends at 1e-9 of a logarithm, where one is told
 FLAT = 1e-3  # a modulus at a thousandth of its rule no longer matters, and the fit leaves it anywhere below
 POINTS = 1e-4  # of a relative error
@@ -25,7 +27,7 @@ POINTS = 1e-4  # of a relative error
 
 def stored(study: str) -> dict[str, Any]:
     """Model -> its shipped calibration."""
-    found: dict[str, Any] = json.loads((TABLES / f"{study}.json").read_text())[study]
+    found: dict[str, Any] = json.loads((STORED / f"{study}.json").read_text())[study]
     return found
 
 
@@ -52,7 +54,7 @@ def test_a_shipped_calibration_comes_out_again(study: str, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_the_table_to_paste_holds_the_fit(study: str) -> None:
-    tables = tomllib.loads((TABLES / f"{study}.toml").read_text())["models"]
+    tables = tomllib.loads((STORED / f"{study}.toml").read_text())["models"]
     for model, entry in stored(study).items():
         for key, value in entry["fit"]["parameters"].items():
             assert_allclose(tables[model][key], value, rtol=1e-5, atol=0)
@@ -66,4 +68,5 @@ def test_no_load_of_a_shipped_calibration_is_a_multiple_of_another(study: str) -
 
 
 def test_the_document_shows_the_stored_fits() -> None:
-    assert DOCUMENT.read_text() == document({study: stored(study) for study in STUDIES})
+    document = ROOT / EVIDENCE["calibrations"]["document"]
+    assert shown(document, "calibrations") == calibrations_table({study: stored(study) for study in STUDIES})
