@@ -100,7 +100,7 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> CleanSur
 def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask]) -> CleanTetrahedra:
     """Drop unused points and repeated tetrahedra; where all are inverted (numbered the other way) turn all.
 
-    Raises MeshError for no tetrahedra, such as name points that do not exist, and some inverted ones.
+    Raises MeshError for no tetrahedra, and for such as name points that do not exist.
     """
     if len(tetrahedra) == 0:
         raise MeshError(
@@ -116,16 +116,12 @@ def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask
     inverted = int(np.count_nonzero(volumes < 0))
     if inverted == len(tetrahedra):
         tetrahedra = tetrahedra[:, [0, 2, 1, 3]]
-    elif inverted:
-        raise MeshError(
-            f"{inverted} of {len(tetrahedra)} tetrahedra are inverted (negative volume); remesh the volume"
-        )
     return CleanTetrahedra(
         points[used],
         tetrahedra,
         {name: mask[used] for name, mask in groups.items()},
         points_dropped=len(points) - len(used),
-        tetrahedra_turned=inverted,
+        tetrahedra_turned=inverted if inverted == len(tetrahedra) else 0,
     )
 
 

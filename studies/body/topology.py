@@ -205,8 +205,7 @@ def mesh_from_tetrahedra(
 
     `groups` are masks over `points`: named sets of the surface nodes in them, and of the tetrahedra that have all
     their nodes in them. Raises MeshError for
-    coordinates that are not finite, inverted or flat tetrahedra, points that no tetrahedron uses, and a
-    boundary that is no closed manifold surface.
+    coordinates that are not finite, inverted or flat tetrahedra, and a boundary that is no closed manifold surface.
     """
     check_finite(points)
     check_tetrahedra(points, tetrahedra)
@@ -248,9 +247,7 @@ def mesh_from_triangles(
     outward, _ = consistent_orientation(points, triangles)
     check_vertex_fans(outward)
     outward = canonical_triangles(outward)
-    used, local = np.unique(outward, return_inverse=True)
-    if len(used) != len(points):
-        raise MeshError(f"{len(points) - len(used)} points belong to no facet; drop them")
+    _, local = np.unique(outward, return_inverse=True)
     figures = {
         "points": float(len(points)),
         "tetrahedra": 0.0,
@@ -281,11 +278,9 @@ def surface_only(mesh: Mesh) -> Mesh:
 
 
 def check_tetrahedra(points: Array, tetrahedra: Index) -> None:
-    """Raise MeshError for indices out of range, flat or inverted tetrahedra, and points without one."""
+    """Raise MeshError for none, and for flat or inverted ones."""
     if len(tetrahedra) == 0:
         raise MeshError("the mesh holds no tetrahedra; give a volume mesh of four-node tetrahedra")
-    if tetrahedra.min() < 0 or tetrahedra.max() >= len(points):
-        raise MeshError("tetrahedra name points that do not exist; the file is damaged")
     sicn = tetrahedron_sicn(points, tetrahedra)
     flat = int(np.count_nonzero(np.abs(sicn) < 1e-8))
     inverted = int(np.count_nonzero(sicn <= -1e-8))
@@ -297,6 +292,3 @@ def check_tetrahedra(points: Array, tetrahedra: Index) -> None:
         raise MeshError(
             f"{inverted} of {len(tetrahedra)} tetrahedra are inverted (negative volume); remesh the volume"
         )
-    orphans = len(points) - len(np.unique(tetrahedra))
-    if orphans:
-        raise MeshError(f"{orphans} points belong to no tetrahedron; drop them")

@@ -40,7 +40,9 @@ class SceneError(InputError):
 
 @dataclass(frozen=True)
 class PlacedConstraint:
-    """See `vdmbench.study.loads.Placed`; `place` is its own in the study, `region` in the mesh's coordinates.
+    """A constraint on a mesh of N surface nodes and F facets with Q quadrature points each.
+
+    `place` is its own in the study, `nodes` (N,) the mask of its `region`, which is in the mesh's coordinates.
 
     Where it is only `checked`, samples stand for the integrals of a smooth profile that clearly presses one way.
     """

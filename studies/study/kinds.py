@@ -140,7 +140,13 @@ def _as_share(value: Any) -> Any:
     return float(Decimal(match.group(1)) / 100)
 
 
+Plain = Annotated[float, SI("1")]
+Plains = Annotated[tuple[float, ...], SI("1", 0)]
+Ratio = Annotated[float, SI("1"), positive]
+Fraction = Annotated[float, SI("1"), number_check(lambda v: 0 <= v <= 1, "must lie between 0 and 1")]
+Coordinate = Annotated[float, SI("m")]
 Length = Annotated[float, SI("m"), positive]
+Lengths = Annotated[Vector3, SI("m", 3), positive]
 Time = Annotated[float, SI("s"), positive]
 Share = Annotated[
     float,

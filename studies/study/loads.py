@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -88,35 +88,9 @@ else:
 # --- What they do on a mesh ---
 
 
-class Placed(Protocol):
-    """A constraint on its mesh: N surface nodes, F facets with Q quadrature points each."""
-
-    @property
-    def points(self) -> Array:
-        """(N, 3) surface nodes [m]."""
-
-    @property
-    def triangles(self) -> Any:
-        """(F, 3) nodes of the facets."""
-
-    @property
-    def nodes(self) -> Any:
-        """(N,) mask of its region."""
-
-    def pressure(self, profile: str | None) -> Array:
-        """(F, Q) pressure of peak 1 over the region, uniform or by a profile. Raises SceneError."""
-
-    def resultant(self, pressure: Array) -> float:
-        """Size of the resultant of a pressure, over its unit [m^2]. Raises SceneError where it has none."""
-
-    def at_quadrature(self, values: Array) -> Array:
-        """(F, Q) from (N,) values, linear on each facet of the region, 0 on the others."""
-
-    def edges(self) -> Any:
-        """(k, 2) edges of the surface between nodes that have no facet of their own. Raises SceneError."""
-
-    def facets(self) -> Any:
-        """(F,) mask of the facets whose three nodes are in the region. Raises SceneError where there is none."""
+Placed = (
+    Any  # a `vdmbench.scene.placed.PlacedConstraint`, a floor above: N surface nodes, F facets, Q points each
+)
 
 
 @dataclass(frozen=True)

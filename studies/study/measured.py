@@ -16,14 +16,16 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from .kinds import (
     MAX_NAME,
     SI,
+    Coordinate,
+    Length,
     Name,
+    Plain,
     Position,
     Table,
     as_path,
     is_safe_name,
     not_negative,
     one_line,
-    positive,
 )
 from .units import QuantityError, shown, to_si
 
@@ -214,9 +216,9 @@ _Deviation = Annotated[float, SI("m"), not_negative]
 class Displacement(Table):
     """A displacement of which not every component is known"""
 
-    displacement_x: Annotated[float, SI("m")] | None = Field(None, description="along x")
-    displacement_y: Annotated[float, SI("m")] | None = Field(None, description="along y")
-    displacement_z: Annotated[float, SI("m")] | None = Field(None, description="along z")
+    displacement_x: Coordinate | None = Field(None, description="along x")
+    displacement_y: Coordinate | None = Field(None, description="along y")
+    displacement_z: Coordinate | None = Field(None, description="along z")
 
     def components(self) -> dict[int, float]:
         """Axis -> value of what is known [m]."""
@@ -230,15 +232,13 @@ class MeasuredPoint(Displacement):
     name: Annotated[str, AfterValidator(one_line)] = Field(
         "", description="names it in the report", max_length=MAX_NAME
     )
-    x: Annotated[float, SI("m")] = Field(description="its place at rest, on the body's surface")
-    y: Annotated[float, SI("m")] = Field(description="its place at rest")
-    z: Annotated[float, SI("m")] = Field(description="its place at rest")
+    x: Coordinate = Field(description="its place at rest, on the body's surface")
+    y: Coordinate = Field(description="its place at rest")
+    z: Coordinate = Field(description="its place at rest")
     uncertainty: _Deviation | None = Field(
         None, description="standard uncertainty of each component, instead of the table's"
     )
-    load_factor: Annotated[float, SI("1")] | None = Field(
-        None, description="load step, instead of the table's"
-    )
+    load_factor: Plain | None = Field(None, description="load step, instead of the table's")
     line: int | None = Field(None, description="its line in the CSV file, for messages", ge=1)
     others: dict[str, Displacement] = Field(
         {}, description="what other programs computed there, by their name", max_length=10
@@ -248,7 +248,7 @@ class MeasuredPoint(Displacement):
 class MeasuredForce(Table):
     """One point of a curve of force against depth"""
 
-    depth: Annotated[float, SI("m"), positive] = Field(
+    depth: Length = Field(
         description="of a contact the largest displacement of its nodes, inwards along the normal; of an indenter "
         "its way from where it first touches; of what moves a region the movement"
     )
@@ -276,7 +276,7 @@ class Measured(Table):
     uncertainty: _Deviation | None = Field(
         None, description="standard uncertainty u_D of each component, where a point has none of its own"
     )
-    load_factor: Annotated[float, SI("1")] | None = Field(
+    load_factor: Plain | None = Field(
         None, description="load factor of [load] that the values belong to; the largest where left out"
     )
     swept: str | None = Field(None, description="swept key whose value tells which cases were measured")

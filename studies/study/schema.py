@@ -30,14 +30,18 @@ from .errors import Source
 from .kinds import (
     SI,
     Axis,
+    Coordinate,
     Direction,
     Enters,
+    Fraction,
     Length,
     LineForce,
     Modulus,
     Name,
+    Plains,
     Position,
     Pressure,
+    Ratio,
     Rotation,
     Share,
     Table,
@@ -90,18 +94,14 @@ class Tissue(Table):
         None,
         description="law of large strain, of fem: neo-hookean where left out; its moduli at small strain are these",
     )
-    second_share: (
-        Annotated[float, SI("1"), number_check(lambda v: 0 <= v <= 1, "must lie between 0 and 1")] | None
-    ) = Field(None, description="mooney-rivlin: c2 / (c1 + c2)")
+    second_share: Fraction | None = Field(None, description="mooney-rivlin: c2 / (c1 + c2)")
     second_ratio: Annotated[float, SI("1"), not_negative] | None = Field(None, description="yeoh: c2 / c1")
     third_ratio: Annotated[float, SI("1"), not_negative] | None = Field(None, description="yeoh: c3 / c1")
-    exponent: Annotated[float, SI("1"), positive] | None = Field(
-        None, description="fung: b of exp(b (I1 - 3)), as Demiray has it"
+    exponent: Ratio | None = Field(None, description="fung: b of exp(b (I1 - 3)), as Demiray has it")
+    exponents: Annotated[Plains, number_check(lambda v: v != 0, "must not be zero")] | None = Field(
+        None, description="ogden: the exponents"
     )
-    exponents: (
-        Annotated[tuple[float, ...], SI("1", 0), number_check(lambda v: v != 0, "must not be zero")] | None
-    ) = Field(None, description="ogden: the exponents")
-    shares: Annotated[tuple[float, ...], SI("1", 0), positive] | None = Field(
+    shares: Annotated[Plains, positive] | None = Field(
         None, description="ogden: share of each term in the shear modulus; they sum to 1"
     )
 
@@ -217,13 +217,13 @@ class VdmTable(Table):
     )
     stretch_stiffness: LineForce | None = Field(None, description="E_s, stiffness of edges against stretch")
     rotation: Rotation | None = Field(None, description="rotation that costs the skin no energy")
-    penalty: Annotated[float, SI("1"), positive] | None = Field(
+    penalty: Ratio | None = Field(
         None,
         description="alpha of (25) and (26), which only lu solves; left out: held nodes are eliminated exactly",
     )
-    tolerance: (
-        Annotated[float, SI("1"), positive, number_check(lambda v: v < 1, "must be below 1")] | None
-    ) = Field(None, description="of the iterative solvers, residual over right-hand side; left out: 1e-10")
+    tolerance: Annotated[Ratio, number_check(lambda v: v < 1, "must be below 1")] | None = Field(
+        None, description="of the iterative solvers, residual over right-hand side; left out: 1e-10"
+    )
     stop: Literal["printed", "intended", "residual"] | None = Field(
         None,
         description="of Figure 8, where an iteration ends: the length of the answer rests, the answer rests, or the"
@@ -265,10 +265,10 @@ class HalfSpace(Table):
     """Nodes on one side of a plane across an axis"""
 
     axis: Axis = Field(description="axis that the plane is perpendicular to")
-    fraction: (
-        Annotated[float, SI("1"), number_check(lambda v: 0 <= v <= 1, "must lie between 0 and 1")] | None
-    ) = Field(None, description="place of the plane as a fraction of the body's extent")
-    value: Annotated[float, SI("m")] | None = Field(None, description="place of the plane as a coordinate")
+    fraction: Fraction | None = Field(
+        None, description="place of the plane as a fraction of the body's extent"
+    )
+    value: Coordinate | None = Field(None, description="place of the plane as a coordinate")
 
 
 class Ball(Table):
@@ -331,7 +331,7 @@ RegionRef = Annotated[
 class Load(Table):
     """[load]"""
 
-    factors: Annotated[tuple[float, ...], SI("1", 0)] = Field(
+    factors: Plains = Field(
         (1.0,), description="the load history: factors on pressures, forces and displacements"
     )
     steps: int | None = Field(
@@ -374,7 +374,7 @@ class Anisotropy(Table):
     """[anisotropy]"""
 
     fibre_direction: Direction = Field(description="direction of the fibres, of any length")
-    contrast: Annotated[float, SI("1"), positive] = Field(
+    contrast: Ratio = Field(
         description="Young's modulus along the fibres over `tissue.youngs_modulus` (FEM, 1 or more); "
         "B_ij, T and E_s of an edge, B_i and k of a node along them over those across (VDM)"
     )
@@ -455,9 +455,9 @@ class Limits(Table):
         "in proportion; the search starts at the study's own and ends at 64 times it, or at a largest principal "
         "strain of 4, a fibre three times as long as at rest"
     )
-    thresholds: Annotated[
-        tuple[float, ...], SI("1", 0), number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")
-    ] = Field((0.05, 0.10), description="growths of the relative L2 displacement error to find")
+    thresholds: Annotated[Plains, number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")] = Field(
+        (0.05, 0.10), description="growths of the relative L2 displacement error to find"
+    )
 
 
 class Calibration(Table):

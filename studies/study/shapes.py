@@ -15,7 +15,15 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field, PlainValidator
 
 from .errors import MeshError, listed
-from .kinds import SI, Enters, Length, OneOf, Vector3, as_path, number_check, positive
+from .kinds import (
+    Enters,
+    Length,
+    Lengths,
+    OneOf,
+    Ratio,
+    as_path,
+    number_check,
+)
 from .registry import load_all
 
 if TYPE_CHECKING:
@@ -45,9 +53,7 @@ class Geometry(OneOf):
         None, description="edge length of the mesh; only a file with tetrahedra does without"
     )
     slivers: (
-        Annotated[
-            float, SI("1"), number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")
-        ]
+        Annotated[Ratio, number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")]
         | None
     ) = Field(
         None,
@@ -55,10 +61,7 @@ class Geometry(OneOf):
     )
     perturbation: (
         Annotated[
-            float,
-            SI("1"),
-            positive,
-            number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}"),
+            Ratio, number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}")
         ]
         | None
     ) = Field(
@@ -155,9 +158,7 @@ class Ellipsoid(_Ball):
     """a ball, stretched along the axes"""
 
     shape: Literal["ellipsoid"]
-    semi_axes: Annotated[Vector3, SI("m", 3), positive] = Field(
-        description="half of its extents along x, y, z"
-    )
+    semi_axes: Lengths = Field(description="half of its extents along x, y, z")
 
     def extents(self) -> Extents:
         a, b, c = self.semi_axes
@@ -193,7 +194,7 @@ class Box(Solid):
     """a cuboid"""
 
     shape: Literal["box"]
-    size: Annotated[Vector3, SI("m", 3), positive] = Field(description="its extents along x, y, z")
+    size: Lengths = Field(description="its extents along x, y, z")
 
     def extents(self) -> Extents:
         return self.size
@@ -239,7 +240,7 @@ class FileBody(Geometry):
         "moved"
     )
     size: Length | None = Field(None, description="its largest extent")
-    scale: Annotated[float, SI("1"), positive] | None = Field(
+    scale: Ratio | None = Field(
         None, description="metres per unit of the file, 1 where neither scale nor size is given"
     )
     coordinates: Annotated[Literal["file", "centred"] | None, Enters.ANSWERS] = Field(
