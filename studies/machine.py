@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import dataclasses
 import errno
 import fcntl
 import hashlib
@@ -19,7 +20,7 @@ import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -56,19 +57,25 @@ def cache_directory() -> Path:
 
 def json_text(value: Any, *, indent: int | None = None, sort_keys: bool = False) -> str:
     """JSON as every program reads it: null for a number that is not finite, for which JSON has no word."""
-    return json.dumps(_plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
+    return json.dumps(plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any, without: Container[str] = ()) -> Any:
+    """A value as JSON has it, of a dataclass all fields but some; `vdmbench.store.plain` reads it back."""
     if value is None or isinstance(value, str | int):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {key: _plain(entry) for key, entry in value.items()}
+        return {key: plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    return _plain(value.tolist()) if hasattr(value, "tolist") else value  # of NumPy, not loaded for this
+        return [plain(entry) for entry in value]
+    if dataclasses.is_dataclass(value):
+        names = (field.name for field in dataclasses.fields(value) if field.name not in without)
+        return {name: plain(getattr(value, name)) for name in names}
+    if hasattr(value, "model_dump"):  # of pydantic, not loaded for this
+        return value.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return plain(value.tolist()) if hasattr(value, "tolist") else value  # of NumPy, likewise
 
 
 def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:

@@ -26,7 +26,6 @@ _CHUNK = 16384  # rows
 _TEXT = h5t.py_create(string_dtype("utf-8"), logical=True)  # in a file
 _STRING = h5t.py_create(string_dtype("utf-8"))  # in memory
 _SCALAR = h5s.create(h5s.SCALAR)
-_TABLES: dict[bytes, np.dtype[Any]] = {}  # a table's type, as HDF5 writes it -> the same as NumPy's
 _CREATION_ORDER = h5p.CRT_ORDER_TRACKED | h5p.CRT_ORDER_INDEXED
 
 
@@ -42,77 +41,51 @@ class OlderSchemaError(StoreError):
     """A stored result of an older version of the program, sound for that one."""
 
 
-# --- what a file is made of ---
-
-
-@dataclass(frozen=True)
-class Group:
-    """A group; its members keep the order in which they are listed.
-
-    Attributes are texts, numbers or arrays of numbers; bytes are ASCII of a fixed length.
-    """
-
-    path: str
-    attributes: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Data:
-    """An array of numbers. Attributes are texts or whole numbers, `labels` name its dimensions.
-
-    An array before it in the file's root, of the name of a label, is the scale of that dimension.
-    """
-
-    path: str
-    values: NDArray[Any]
-    attributes: Mapping[str, str | int] = field(default_factory=dict)
-    labels: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Text:
-    """A text, or a list or table of texts."""
-
-    path: str
-    values: str | Sequence[Any]
-    labels: tuple[str, ...] = ()
-
-
-Entry = Group | Data | Text
-
-
 # --- writing ---
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What is at a path: a group, an array of numbers, or texts.
+
+    Attributes
+    ----------
+    values : None of a group, whose members keep the order in which they are listed; a text or a list of texts
+    attributes : texts, numbers or arrays of numbers; bytes are ASCII of a fixed length
+    labels : names of dimensions; an array before it in the file's root, of such a name, is that dimension's scale
+    """
+
+    path: str
+    values: NDArray[Any] | str | Sequence[str] | None = None
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+    labels: tuple[str, ...] = ()
 
 
 def sealed(entries: Sequence[Entry]) -> bytes:
     """The bytes of a file: groups before what is in them."""
     file = h5f.create(b"case.h5", h5f.ACC_TRUNC, fapl=_in_memory())
     for entry in entries:
-        _add(file, entry)
+        owner = _made(file, entry.path.encode(), entry.values)
+        _name_dimensions(file, owner, entry.labels)
+        for name, value in entry.attributes.items():
+            _attach(owner, name.encode(), value)
     h5f.flush(file)
     image: bytes = file.get_file_image()
     file.close()
     return b"".join((image, TRAILER, hashlib.sha256(image).hexdigest().encode(), b"\n"))
 
 
-def _add(file: Any, entry: Entry) -> None:
-    path = entry.path.encode()
-    if isinstance(entry, Text):
-        texts = np.array(entry.values, dtype=object)
-        space = h5s.create_simple(texts.shape) if texts.shape else _SCALAR
-        owner = h5d.create(file, path, _TEXT, space)
-        owner.write(h5s.ALL, h5s.ALL, texts, mtype=_STRING)
-        _name_dimensions(file, owner, entry.labels)
-        return
-    if isinstance(entry, Group):
+def _made(file: Any, path: bytes, values: NDArray[Any] | str | Sequence[str] | None) -> Any:
+    if values is None:
         ordered = h5p.create(h5p.GROUP_CREATE)
         ordered.set_link_creation_order(_CREATION_ORDER)
-        owner = h5g.create(file, path, gcpl=ordered)
-    else:
-        owner = _dataset(file, path, np.ascontiguousarray(entry.values))
-        _name_dimensions(file, owner, entry.labels)
-    for name, value in entry.attributes.items():
-        _attach(owner, name.encode(), value)
+        return h5g.create(file, path, gcpl=ordered)
+    if isinstance(values, np.ndarray):
+        return _dataset(file, path, np.ascontiguousarray(values))
+    texts = np.array(values, dtype=object)
+    dataset = h5d.create(file, path, _TEXT, h5s.create_simple(texts.shape) if texts.shape else _SCALAR)
+    dataset.write(h5s.ALL, h5s.ALL, texts, mtype=_STRING)
+    return dataset
 
 
 def _name_dimensions(file: Any, owner: Any, labels: Sequence[str]) -> None:
@@ -189,15 +162,12 @@ class Stored:
         except StoreError as error:
             self._file.close()
             raise type(error)(f"{path}: {error}") from None
-        except UNREADABLE as error:
-            self._file.close()
-            raise StoreError(f"{path}: not readable ({error}); delete it and run again") from error
 
     def _schema(self) -> int:
         """Its schema; 0 where it has none."""
         try:
-            return int(self.number("case", "schema"))
-        except (KeyError, TypeError, ValueError, OSError, OverflowError):
+            return int(self.attribute("case", "schema"))
+        except UNREADABLE:
             return 0
 
     def __enter__(self) -> Self:
@@ -206,39 +176,31 @@ class Stored:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def __contains__(self, path: str) -> bool:
-        try:
-            self._object(path)
-        except KeyError:
-            return False
-        return True
-
     def _object(self, path: str) -> Any:
-        """A group or an array. Raises KeyError where there is none, StoreError for a link, followed by nobody."""
+        """A group or an array. Raises KeyError where there is none, ValueError for what would lead elsewhere."""
         found = self._objects.get(path)
         if found is None:
             group, _, name = path.rpartition("/")
             owner = self._object(group) if group else self._file
-            if not isinstance(owner, h5g.GroupID):
-                raise KeyError(path)
             try:
                 kind = owner.links.get_info(name.encode()).type
-            except RuntimeError:
+            except (AttributeError, RuntimeError):  # no group, or none of its members
                 raise KeyError(path) from None
             if kind != h5l.TYPE_HARD:
-                raise StoreError(f"holds a link (/{path}), which a result file never does")
+                raise ValueError(f"holds a link (/{path}), which a result file never does")
             found = self._objects[path] = h5o.open(owner, name.encode())
             if isinstance(found, h5d.DatasetID):
-                _require_inside(found)
+                made = found.get_create_plist()
+                if made.get_external_count() or made.get_layout() == h5d.VIRTUAL:
+                    raise ValueError(f"holds an array (/{path}) that is stored outside the file")
         return found
 
     def members(self, path: str) -> list[str]:
         """Names of what a group holds, in the order in which it was written."""
         names: list[str] = []
-        group = self._object(path)
-        if not isinstance(group, h5g.GroupID):
-            raise KeyError(path)
-        group.links.iterate(lambda name: names.append(name.decode()), idx_type=h5.INDEX_CRT_ORDER)
+        self._object(path).links.iterate(
+            lambda name: names.append(name.decode()), idx_type=h5.INDEX_CRT_ORDER
+        )
         return names
 
     def floats(self, path: str) -> NDArray[np.float64]:
@@ -249,52 +211,23 @@ class Stored:
         """An array of whole numbers."""
         return self._read(path, np.dtype(np.int64), h5t.NATIVE_INT64)
 
-    def table(self, path: str) -> dict[str, NDArray[np.float64]]:
-        """The columns of a table of numbers by name."""
-        stored = self._dataset(path).get_type()
-        kind = _TABLES.get(key := stored.encode())
-        if kind is None:  # which takes HDF5 as long as all else of a file
-            kind = _TABLES[key] = stored.dtype
-        rows = self._read(path, kind, stored)
-        return {name: rows[name].astype(np.float64) for name in rows.dtype.names or ()}
+    def text(self, path: str) -> str:
+        """A text."""
+        found: bytes = self._read(path, np.dtype(object), _STRING)[()]
+        return found.decode()
 
-    def texts(self, path: str) -> Any:
-        """A text, or nested lists of texts."""
-        kind = self._dataset(path).dtype
-        return _decoded(self._read(path, kind, _STRING if kind.kind == "O" else h5t.py_create(kind)).tolist())
-
-    def number(self, path: str, name: str) -> float:
-        """An attribute that is a number."""
-        value = np.empty(())
-        h5a.open(self._object(path), name.encode()).read(value, mtype=h5t.NATIVE_DOUBLE)
-        return float(value)
-
-    def text(self, path: str, name: str, default: str | None = None) -> str:
-        """An attribute that is a text."""
-        owner = self._object(path)
-        if default is not None and not h5a.exists(owner, name.encode()):
-            return default
-        value = np.empty((), dtype=object)
-        h5a.open(owner, name.encode()).read(value, mtype=_STRING)
-        return str(_decoded(value[()]))
+    def attribute(self, path: str, name: str) -> Any:
+        """An attribute: a text or a number."""
+        stored = h5a.open(self._object(path), name.encode())
+        value = np.empty(stored.shape, stored.dtype)
+        stored.read(value)
+        return value[()].decode() if isinstance(value[()], bytes) else value[()]
 
     def _read(self, path: str, kind: np.dtype[Any], stored: Any) -> Any:
-        dataset = self._dataset(path)
+        dataset = self._object(path)
         values = np.empty(dataset.shape, dtype=kind)
         dataset.read(h5s.ALL, h5s.ALL, values, mtype=stored)
         return values
-
-    def _dataset(self, path: str) -> Any:
-        found = self._object(path)
-        if not isinstance(found, h5d.DatasetID):
-            raise KeyError(path)
-        return found
-
-
-def _decoded(values: Any) -> Any:
-    if isinstance(values, list):
-        return [_decoded(value) for value in values]
-    return values.decode("utf-8", "surrogateescape") if isinstance(values, bytes) else str(values)
 
 
 def _open(path: Path) -> Any:
@@ -312,10 +245,3 @@ def _open(path: Path) -> Any:
         return h5f.open(b"case.h5", h5f.ACC_RDONLY, fapl=_in_memory(image))
     except OSError as error:
         raise StoreError(f"{path}: not an HDF5 file ({error}); delete it and run again") from error
-
-
-def _require_inside(dataset: Any) -> None:
-    """Raises StoreError for an array that is stored outside the file."""
-    made = dataset.get_create_plist()
-    if made.get_external_count() or made.get_layout() == h5d.VIRTUAL:
-        raise StoreError("holds an array that is stored outside the file, which a result file never does")

@@ -7,20 +7,19 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from pydantic import BaseModel, TypeAdapter
-
 from ..machine import json_text, write_atomically
 from ..scene.result import FrameTimes
+from ..study.kinds import safe_name
 from ..study.schema import Study
 from .hdf5 import StoreError
-from .shapes import FailureShape, PlanShape, ToldShape, parsed
+from .plain import typed
 
 PLAN, STUDY, RESOLVED, TIMES = "plan.json", "study.toml", "resolved.toml", "times.json"
 REPORT, STUDY_FILE, METRICS_FILE, TOLD = "report.html", "study.h5", "metrics.csv", "told.json"
@@ -28,6 +27,54 @@ CASE_SUFFIX = ".vtkhdf"
 _SHORT, _READABLE = 12, 100  # characters of the hash, and of the label at most, in the name of a file
 _FOLDERS = ("cases", "failed")
 _BEGUN = {STUDY, RESOLVED, *_FOLDERS}  # what a run that was killed leaves without a plan
+
+
+# what files in JSON must hold; what they hold besides is kept as it is
+
+
+@dataclass
+class _Case:
+    hash: str
+    label: str
+    swept: Mapping[str, float | str]
+    swept_units: Mapping[str, str]
+    mesh: str = ""
+
+
+@dataclass
+class _Study:
+    name: str
+
+
+@dataclass
+class _Plan:
+    study: _Study
+    cases: Sequence[_Case]
+    surfaces: Mapping[str, str] = field(default_factory=dict)
+    resumed: Sequence[str] = ()
+    command: Sequence[str] = ()
+    directory: str = ""
+
+
+@dataclass
+class _Failure:
+    hash: str
+    code: str
+    message: str
+    remedy: str
+
+
+@dataclass
+class _Told:
+    of: str
+    told: Mapping[str, Any]
+
+
+def _parsed(kind: type, path: Path) -> dict[str, Any]:
+    """What a JSON file holds. Raises OSError, and ValueError where it does not hold what it must."""
+    found: dict[str, Any] = json.loads(path.read_bytes())
+    typed(kind, found)
+    return found
 
 
 class ForeignDirectoryError(ValueError):
@@ -102,14 +149,14 @@ def write_plan(directory: Path, planned: Mapping[str, Any]) -> None:
 def read_plan(directory: Path) -> dict[str, Any]:
     """What was planned in a run directory. Raises StoreError where it is none, or where the plan is damaged."""
     try:
-        text = (directory / PLAN).read_bytes()
-        parsed(text, PlanShape)
+        plan = _parsed(_Plan, directory / PLAN)
+        for case in plan["cases"]:
+            safe_name(case["hash"])  # names a file
+        return plan
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         raise StoreError(f"{directory}: not a run directory (it has no {PLAN})") from None
     except ValueError as error:
         raise StoreError(f"{directory}/{PLAN}: damaged ({error}); run the study again") from error
-    plan: dict[str, Any] = json.loads(text)
-    return plan
 
 
 def read_study(directory: Path) -> tuple[Study, str]:
@@ -133,52 +180,23 @@ def read_study(directory: Path) -> tuple[Study, str]:
 # --- what frames take ---
 
 
-def add_times(directory: Path, found: Mapping[str, Any]) -> None:
-    """Keep what frames take, by mesh, beside what is known of other meshes. Raises OSError."""
-    path = directory / TIMES
-    with suppress(OSError, ValueError):
-        found = {**_TIMES.dump_python(_TIMES.validate_json(path.read_bytes())), **found}
-    write_atomically(path, json_text(found, indent=1).encode())
+def add_times(directory: Path, found: Mapping[str, Mapping[str, FrameTimes]]) -> None:
+    """Keep what frames take, by mesh and model, beside what is known of other meshes. Raises OSError."""
+    known: dict[str, dict[str, FrameTimes]] = {}
+    with suppress(StoreError):
+        known = read_times(directory)
+    write_atomically(directory / TIMES, json_text({**known, **found}, indent=1).encode())
 
 
 def read_times(directory: Path) -> dict[str, dict[str, FrameTimes]]:
     """Mesh -> model -> what its frames take; nothing where it was not measured. Raises StoreError."""
     path = directory / TIMES
     try:
-        stored = _TIMES.validate_json(path.read_bytes())
+        return typed(dict[str, dict[str, FrameTimes]], json.loads(path.read_bytes()))
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
-        what = str(error).splitlines()[0]
-        raise StoreError(f"{path}: damaged ({what}); delete it and run again") from error
-    return {
-        mesh: {
-            name: FrameTimes(
-                setup=np.array(parts.setup, dtype=float),
-                contact=np.array(parts.contact, dtype=float),
-                everywhere=np.array(parts.everywhere, dtype=float),
-                processor=entry.processor,
-                case=entry.case,
-            )
-            for name, parts in entry.models.items()
-        }
-        for mesh, entry in stored.items()
-    }
-
-
-class _TimesOfModel(BaseModel):
-    setup: list[float | None]
-    contact: list[float | None]
-    everywhere: list[float | None]
-
-
-class _TimesOfMesh(BaseModel):
-    case: str
-    processor: str
-    models: dict[str, _TimesOfModel]
-
-
-_TIMES = TypeAdapter(dict[str, _TimesOfMesh])
+        raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
 
 
 # --- what was told ---
@@ -192,8 +210,8 @@ def keep_told(directory: Path, plan: Mapping[str, Any], told: Mapping[str, Any])
 def read_told(directory: Path, plan: Mapping[str, Any]) -> dict[str, Any] | None:
     """What `keep_told` kept; None where a case, a failure, a time, a table or the report is another since."""
     try:
-        kept = parsed((directory / TOLD).read_bytes(), ToldShape)
-        return kept.told if kept.of == _made_of(directory, plan) else None
+        kept = _parsed(_Told, directory / TOLD)
+        return kept["told"] if kept["of"] == _made_of(directory, plan) else None
     except (OSError, ValueError):
         return None
 
@@ -229,10 +247,9 @@ def read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
     """Why a case failed. Raises StoreError."""
     path = failure_path(directory, case_hash, label)
     try:
-        record = parsed(path.read_bytes(), FailureShape)
+        return _parsed(_Failure, path) | {"label": label}
     except (IsADirectoryError, ValueError) as error:
         raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
-    return record.model_dump() | {"label": label}
 
 
 def has_failed(directory: Path, case_hash: str, label: str = "") -> bool:

@@ -148,18 +148,8 @@ def write_limits(path: Path, found: SmallStrainLimits) -> None:
 
 def read_limits(path: Path) -> SmallStrainLimits | None:
     """The limits stored at `path`; None where there are none, or they are damaged."""
-    from ..measures.case import Limit, ModelLimits, SmallStrainLimits  # a check asks for the paths alone
+    from ..measures.case import SmallStrainLimits  # a check asks for the paths alone
+    from ..store.plain import typed
 
     stored = read_arrays(path)
-    if stored is None:
-        return None
-    data = json.loads(str(stored["limits"]))
-    entries = {
-        name: ModelLimits(
-            entry["structural_error"],
-            entry["structural_bar"],
-            tuple(Limit(**limit) for limit in entry["limits"]),
-        )
-        for name, entry in data["models"].items()
-    }
-    return SmallStrainLimits(data["along"], data["unit"], entries)
+    return None if stored is None else typed(SmallStrainLimits, json.loads(str(stored["limits"])))

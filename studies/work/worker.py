@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import fcntl
 import json
 import os
@@ -158,15 +159,9 @@ def _times(payload: Payload) -> None:
         mesh = _meshes({**payload, **item}, 0).finest
         slow = set() if decides else _slow(item, Path(payload["cache"]))
         names = [name for name in study.study.models if name not in slow]
-        models = frame_times(build_scene(study, mesh), names, rounds, budget)
-        found[item["mesh"]] = {
-            "case": item["label"],
-            "processor": processor_name(),
-            "models": {
-                name: {part: getattr(times, part).tolist() for part in ("setup", "contact", "everywhere")}
-                for name, times in models.items()
-            },
-        }
+        about = {"case": item["label"], "processor": processor_name()}
+        times = frame_times(build_scene(study, mesh), names, rounds, budget)
+        found[item["mesh"]] = {name: dataclasses.replace(one, **about) for name, one in times.items()}
     add_times(Path(payload["directory"]), found)
 
 

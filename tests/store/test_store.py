@@ -126,23 +126,33 @@ def test_vtk_reads_surface_fields_and_steps(tmp_path: Path) -> None:
         assert_array_equal(vtk_to_numpy(data.GetArray("region.base")), case.regions["base"])
 
 
-def test_every_array_has_a_unit(tmp_path: Path) -> None:
-    path = tmp_path / "case.vtkhdf"
-    store.write_case(path, example_case())
+def test_every_column_has_its_unit_and_every_metric_its_definition(tmp_path: Path) -> None:
+    path, case = tmp_path / "case.vtkhdf", example_case()
+    store.write_case(path, case)
     with h5py.File(path) as file:
         for name in ("VTKHDF/Points", "VTKHDF/PointData/vdm-paper.displacement"):
             assert file[name].attrs["unit"] == "m", name
-        about = json.loads(file["case/about"][()])["metrics"]
-        for name in ("models/vdm-paper", "metrics/vdm-paper"):
-            units = json.loads(file[name].attrs["units"])
-            assert list(file[name].dtype.names) == sorted(units, key=file[name].dtype.names.index)
-            assert set(units.values()) <= {"m", "J", "Pa", "m^3", "s", "1"}
-        for metric in file["metrics/vdm-paper"].dtype.names:
-            assert about[metric]["definition"]
-            assert about[metric]["version"] >= 1
-        assert (
-            file["models/vdm-paper"]["energy"].tolist() == example_case().models["vdm-paper"].energy.tolist()
-        )
+        about, steps = json.loads(file["case/about"][()]), file["steps"][()]
+    columns = list(about["steps"])
+    assert len(columns) == steps.shape[1]
+    assert about["steps"]["vdm-paper.metrics.max_nodal_error"] == "m"
+    assert set(about["steps"].values()) <= {"m", "J", "Pa", "m^3", "s", "1"}
+    assert_array_equal(steps[:, columns.index("vdm-paper.energy")], case.models["vdm-paper"].energy)
+    assert about["definitions"]["max_nodal_error"] == {
+        "unit": "m",
+        "definition": "largest |u - r|",
+        "version": 2,
+    }
+
+
+def test_a_case_is_read_without_what_its_nodes_have(tmp_path: Path) -> None:
+    path, case = tmp_path / "case.vtkhdf", example_case()
+    store.write_case(path, case)
+    found = store.read_case(path, fields=False, label="another")
+    nothing = {"displacement": np.empty((N_STEPS, 0, 3)), "reaction_force": np.empty((N_STEPS, 0, 3))}
+    models = {name: dataclasses.replace(model, **nothing) for name, model in case.models.items()}
+    bare = {"points": np.empty((0, 3)), "triangles": np.empty((0, 3)), "regions": {}, "moved": None}
+    assert_same(dataclasses.replace(case, label="another", models=models, **bare), found)
 
 
 def _reseal(path: Path, edit: Any) -> None:
@@ -206,7 +216,7 @@ def test_a_case_of_an_older_program_is_made_anew(tmp_path: Path) -> None:
     [
         (lambda f: f["case"].attrs.__setitem__("schema", 99), "newer"),
         (lambda f: _in_place(f, "case/about", h5py.ExternalLink("/etc/hosts", "x")), "link"),
-        (lambda f: _in_place(f, "metrics", h5py.SoftLink("/models")), "link"),
+        (lambda f: _in_place(f, "steps", h5py.SoftLink("/VTKHDF/Points")), "link"),
         (lambda f: _stored_outside(f, "VTKHDF/Points"), "outside"),
         (lambda f: f["case"].attrs.__setitem__("schema", 1), "older"),
         (lambda f: f["case"].attrs.__delitem__("schema"), "no schema"),
@@ -217,11 +227,18 @@ def test_a_case_of_an_older_program_is_made_anew(tmp_path: Path) -> None:
         (lambda f: f["case/about"].__setitem__((), "{"), "not readable"),
         (lambda f: _edit_about(f, models=[]), "not readable"),
         (lambda f: _edit_about(f, metrics=[]), "not readable"),
-        (lambda f: f.__delitem__("models/vdm-paper"), "not readable"),
-        (lambda f: (f.__delitem__("models/vdm-paper"), f.create_group("models/vdm-paper")), "not readable"),
-        (lambda f: _replace(f, "models/vdm-paper", np.zeros(3)), "not readable"),
-        (lambda f: _replace(f, "metrics/vdm-paper", np.zeros(3, [("volume_drift", "S3")])), "not readable"),
-        (lambda f: _replace(f, "metrics/vdm-paper", np.zeros(3, [("unheard_of", "f8")])), "not readable"),
+        (lambda f: _edit_about(f, label=3), "'label' is not of type str"),
+        (lambda f: _edit_about(f, study={}), "not readable"),
+        (lambda f: _edit_about(f, small_strain={"along": "x"}), "'small_strain.unit' is not there"),
+        (lambda f: _edit_about(f, measurement={"quantities": 3}), "'measurement.quantities' is not a list"),
+        (
+            lambda f: _edit_about(f, reference_error={"levels": "two"}),
+            "'reference_error.levels' is not a number",
+        ),
+        (lambda f: f.__delitem__("steps"), "not readable"),
+        (lambda f: (f.__delitem__("steps"), f.create_group("steps")), "not readable"),
+        (lambda f: _replace(f, "steps", np.zeros(3)), "not readable"),
+        (lambda f: _replace(f, "VTKHDF/PointData/vdm-paper.displacement", np.zeros((5, 3))), "not readable"),
     ],
 )
 def test_a_tampered_file_is_refused(tmp_path: Path, edit: Any, message: str) -> None:
