@@ -90,8 +90,9 @@ def _reader(kind: Any) -> Reader:
     if origin is np.ndarray:  # in which a number that is null is NaN
         number = typing.get_args(parts[1])[0]
         return lambda value: np.array(_as(isinstance(value, list), "a list", value), dtype=number)
-    if origin in (Sequence, tuple, list):
-        return _each(list, "a list", _reader(parts[0]))  # of one type, however many
+    if origin in (Sequence, tuple):
+        read = _each(list, "a list", _reader(parts[0]))  # of one type, however many
+        return (lambda value: tuple(read(value))) if origin is tuple else read
     if dataclasses.is_dataclass(kind):
         return lambda value: _fields(origin, value, {})
     return origin.model_validate if issubclass(origin, BaseModel) else lambda value: value
@@ -127,7 +128,7 @@ def _each(container: type, wanted: str, read_one: Reader) -> Reader:
             except MisfitError as error:
                 error.place.append(str(key))
                 raise
-        return found if container is dict else tuple(found.values())
+        return found if container is dict else list(found.values())
 
     return read
 
