@@ -91,7 +91,7 @@ def require_own(plan: Plan, options: argparse.Namespace) -> None:
 
 def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
     """What to type to get the same results again: the words of this command that decide them, without folders."""
-    from ..study.files import short_path
+    from ..study.files import without_folders
 
     given = vars(options)
     words = [verb, _name(given["study"])]
@@ -100,7 +100,7 @@ def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
             words += [f"--{key}", _name(given[key])]
     for change in given.get("changes", []):
         key, _, value = change.partition("=")
-        words += ["--set", f"{key}={short_path(value)}"]
+        words += ["--set", f"{key}={without_folders(value)}"]
     return tuple(words)
 
 

@@ -287,11 +287,10 @@ def _surface_geometry(geometry: Any, surface: Path) -> dict[str, Any]:
 def _name_after(surface: Path, study: Any) -> None:
     """Another body is another study, with a run directory and a baseline of its own."""
     if isinstance(study, dict) and is_safe_name(name := study.get("name")):
-        file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)
-        room = min(len(file), max(16, MAX_NAME - len(name) - 1))
-        study["name"] = (
-            f"{name[: MAX_NAME - room - 1]}-{file[-room:]}"  # how names of scans end tells them apart
-        )
+        file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)[
+            -MAX_NAME // 2 :
+        ]  # scans differ in how they end
+        study["name"] = f"{name[: MAX_NAME - len(file) - 1]}-{file}"
 
 
 def _check_limits(data: Mapping[str, Any], axes: Sequence[Axis], study: Study) -> Iterator[Finding]:

@@ -130,7 +130,6 @@ def _entries(entries: list[Any], changes: Mapping[str, Any], place: str) -> list
 # --- Studies as results keep them: files and directories by their names, for folders may name a patient ---
 
 
-GEOMETRY_PATH = "geometry.path"
 # a quoted absolute path to a mesh, on any system
 _ABSOLUTE = re.compile(
     r"""(["'])(?:/|~|[A-Za-z]:[\\/])[^"'\n]*[\\/]([^"'\\/\n]+\.(?:stl|obj|ply|vtp|vtk|vtu|msh))\1""",
@@ -138,24 +137,12 @@ _ABSOLUTE = re.compile(
 )
 
 
-def without_folders(inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """The inputs of a case, or a resolved study, with the names of geometry files only."""
-    kept = dict(inputs)
-    if (kept.get("geometry") or {}).get("path"):
-        kept["geometry"] = {**kept["geometry"], "path": Path(str(kept["geometry"]["path"])).name}
-    if GEOMETRY_PATH in (kept.get("sweep") or {}):
-        axis = kept["sweep"][GEOMETRY_PATH]
-        kept["sweep"] = {**kept["sweep"], GEOMETRY_PATH: [short_path(value) for value in axis]}
-    return kept
-
-
-def swept_without_folders(swept: Mapping[str, Any]) -> dict[str, Any]:
-    """The swept values of a case, with the name alone of a geometry file that has an absolute path."""
-    return {key: short_path(value) if key == GEOMETRY_PATH else value for key, value in swept.items()}
-
-
-def short_path(value: Any) -> Any:
-    """The name of a file that has an absolute path; any other value as it is."""
+def without_folders(value: Any) -> Any:
+    """Plain data with the name alone of each file that has an absolute path."""
+    if isinstance(value, Mapping):
+        return {key: without_folders(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [without_folders(item) for item in value]
     return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
 
 

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from .checks import validate
 from .errors import MOST_TOLD, Finding, Loc, Source, unknown
 from .fields import NEVER_AN_INPUT, Target, targets, value_at
-from .files import GEOMETRY_PATH, short_path
+from .files import without_folders
 from .kinds import Table
 from .schema import Inputs, Known, Range, Study
 from .units import shown, type_name
@@ -298,7 +298,7 @@ def _names(axes: Sequence[Axis]) -> dict[str, str]:
 
 def _named_value(name: str, axis: Axis, value: Value) -> str:
     unit = "" if axis.target.unit == "1" else f" {axis.target.unit}"
-    return f"{name} = {_shown(short_path(value) if axis.key == GEOMETRY_PATH else value)}{unit}"
+    return f"{name} = {_shown(without_folders(value))}{unit}"
 
 
 def _short(key: str) -> str:

@@ -24,7 +24,7 @@ from ..models import find
 from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..store.cases import write_case
-from ..study.files import swept_without_folders, without_folders
+from ..study.files import without_folders
 from ..study.registry import REFINED
 from ..study.schema import Study
 from .cache import combined, limits_path, read_limits, steps_of, stored_answer
@@ -100,7 +100,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
         CaseResult(
             hash=payload["id"],
             label=payload["label"],
-            swept=swept_without_folders(swept),
+            swept=without_folders(swept),
             swept_units=units,
             study=Study.model_validate(without_folders(payload["study"])),
             provenance=provenance(mesh) | ({"geometry_file_hash": file_hash} if file_hash else {}),

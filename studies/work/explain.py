@@ -12,7 +12,7 @@ from ..machine import machine_memory
 from ..scene.regions import body_extent, lies_outside, origin
 from ..study.config import holds_nothing
 from ..study.errors import Finding, MeshError, plural
-from ..study.files import swept_without_folders, told_directory
+from ..study.files import told_directory, without_folders
 from ..study.registry import DISPLACEMENT_ELEMENTS, REFINED, lacks, split
 from ..study.schema import extras_for
 from ..study.shapes import fewer_nodes
@@ -46,7 +46,7 @@ def summary(plan: Plan) -> dict[str, Any]:
             {
                 "hash": case.hash,
                 "label": case.label,
-                "swept": swept_without_folders(case.swept),
+                "swept": without_folders(case.swept),
                 "swept_units": dict(case.swept_units),
                 "state": plan.state[case.hash],
                 "mesh": case.mesh,

@@ -61,13 +61,11 @@ HELD_ONLY = 'kind = "fixed"\nregion = "base"\n[[constraints]]\n'
 # what is wrong: how to get there, the exit code, a part of what is said
 TABLE: dict[str, tuple[Prepare, int, str]] = {
     "missing file": (lambda _: ["check", "none.toml"], 2, "none.toml:1: does not exist"),
-    "unknown key": (study(("mesh_size", "mesh_sice")), 2, 'small.toml:11: geometry.mesh_sice: unknown key'),
     "unreadable mesh": (of_file("body.vtu", content=b"\x7fELF\0"), 2, "cannot be read as .vtu"),
     "region that selects nothing": (
         study(('[0, 0, 1], angle = "30 deg"', '[3, 1, 9], angle = "0.1 deg"'), verb="run"), 2,
         "region 'finger' selects no node of the mesh",
     ),
-    "contact over fixed": (study(('"30 deg"', '"179 deg"'), verb="run"), 2, "nodes that are fixed or constrained"),
     "nothing held": (study((HELD_ONLY, "")), 2, "nothing is held"),
     "reference that cannot be incompressible": (
         study(("fem-linear", "fem-p1"), ("0.49", "0.5")), 2,
