@@ -6,12 +6,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from markupsafe import Markup
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.lines import Line2D
 from matplotlib.ticker import (
     FixedFormatter,
     FixedLocator,
@@ -20,7 +22,7 @@ from matplotlib.ticker import (
     MaxNLocator,
     NullLocator,
 )
-from matplotlib.transforms import blended_transform_factory
+from matplotlib.transforms import Bbox, blended_transform_factory
 from numpy.typing import ArrayLike
 
 from solver_common.arrays import Array
@@ -29,11 +31,12 @@ from ..verdict.digest import REFERENCE, Digest
 from ..verdict.formatting import listed, plain, quantity, short_percent
 from ..verdict.palette import COLOURS
 from .blocks import Figure
-from .svg import GRID, INK, MODELS, STYLE, for_the_page, svg_of
+from .svg import GRID, ID, INK, MODELS, STYLE, for_the_page, svg_of
 from .svg import REFERENCE as REFERENCE_COLOUR
-from .told import axes_for_script, name_curves, tell
 
 _MOST_TICKS = 16
+_MOST_NAMED = 8  # curves of a chart; of more the legend tells
+_LETTER, _HIGH, _GAP = 4.5, 8.5, 4.0  # points: of a name, and how far it is from its point
 _MOST_MARKED = 25  # points of a line
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 LINES = ("-", "--", "-.", ":")
@@ -140,7 +143,7 @@ def draw(
     named: bool = True,
     **look: Any,
 ) -> None:
-    """The points of a model, joined where `look` says nothing else, in its colour; see `told.tell`.
+    """The points of a model, joined where `look` says nothing else, in its colour; see `tell`.
 
     Of a line through many points every k-th is marked.
     """
@@ -307,3 +310,77 @@ def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
         for label in axes.get_xticklabels():
             label.set_rotation(30)
             label.set_horizontalalignment("right")
+
+
+# --- whose curve a curve is: told to the page's script, which shows it under the pointer, and written beside it ---
+
+
+def tell(curve: Line2D, name: str, cases: Sequence[int] | None = None, *, named: bool = True) -> None:
+    """Say whose points these are; `cases` has the number of each point's case, None where it has none of its own.
+
+    Where there is room, the name stands beside the last point, unless `named` is False.
+    """
+    plain = quote(name.encode("utf-8", "replace"))  # no letter that an attribute would need escaped
+    curve.set_gid(f"{ID}{plain} {','.join(map(str, cases or ()))}")
+    if named:
+        curve.set_label(name)
+
+
+def name_curves(axes: Axes) -> None:
+    """Write the names of told curves above or below their last points, where nothing else is drawn."""
+    told = [curve for curve in axes.lines if str(curve.get_gid()).startswith(ID)]
+    curves = [curve for curve in told if not str(curve.get_label()).startswith("_")]
+    if not 1 < len(curves) <= _MOST_NAMED:
+        return
+    axes.apply_aspect()
+    pixels = axes.figure.dpi / 72.0  # per point
+    frame, drawn = (
+        axes.get_window_extent(),
+        np.concatenate([_drawn(curve, between=True) for curve in axes.lines]),
+    )
+    taken: list[Bbox] = []
+    for curve in curves:
+        own = _drawn(curve, between=False)
+        if not len(own):
+            continue
+        right, middle = own[np.argmax(own[:, 0])]
+        width, height = pixels * _LETTER * len(str(curve.get_label())), pixels * _HIGH
+        for up in (True, False):
+            low = middle + (pixels * _GAP if up else -pixels * _GAP - height)
+            box = Bbox.from_bounds(right - width, low, width, height)
+            inside = frame.x0 <= box.x0 and frame.y0 <= box.y0 and box.y1 <= frame.y1
+            if inside and not box.count_overlaps(taken) and not box.count_contains(drawn):
+                taken.append(box)
+                at = axes.transData.inverted().transform((right, middle))
+                look: Any = {"ha": "right", "va": "bottom" if up else "top", "fontsize": 7.4}
+                name, shift = str(curve.get_label()), (0, _GAP if up else -_GAP)
+                axes.annotate(name, tuple(at), xytext=shift, textcoords="offset points", **look)
+                break
+
+
+def _drawn(curve: Line2D, *, between: bool) -> Array:
+    """(K, 2) pixels of a curve's points and, where a line joins them, of places between."""
+    path = curve.get_transform().transform_path(curve.get_path())
+    if between and curve.get_linestyle() != "None" and len(path) > 1:
+        path = path.interpolated(20)
+    places = np.asarray(path.vertices)
+    return places[np.isfinite(places).all(axis=1)]
+
+
+def axes_for_script(axes: Axes) -> str:
+    """Attributes that turn places on the drawing into values: scale, two values, their places [pt], unit."""
+    width, height = (float(v) * 72.0 / axes.figure.dpi for v in axes.figure.bbox.size)
+    box = axes.get_position()
+    found = []
+    for which, axis, low, high in (
+        ("x", axes.xaxis, box.x0 * width, box.x1 * width),
+        ("y", axes.yaxis, height - box.y0 * height, height - box.y1 * height),
+    ):
+        formatter = axis.get_major_formatter()
+        if isinstance(formatter, FixedFormatter):
+            continue  # names
+        shown = formatter(1.0)
+        unit = "%" if shown.endswith("%") else "s" if shown.endswith("s") else ""
+        start, end = axis.get_view_interval()
+        found.append(f' data-{which}="{axis.get_scale()} {start:.6g} {end:.6g} {low:.1f} {high:.1f} {unit}"')
+    return "".join(found)

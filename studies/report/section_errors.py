@@ -20,6 +20,7 @@ from .plots import Curve, colour, limit_line, lines, log_axis, name_ticks, own_l
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+MESH_SIZE = "geometry.mesh_size"
 QUANTITIES = {VECTOR: "Displacement error", DEFORMATION: "Error in change of shape"}
 _FLAT = 5e-4  # of an error: the page prints three digits. A turn that is taken out leaves 2e-6 of quickstart
 _DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
@@ -54,6 +55,8 @@ def error_against_parameters(digest: Digest) -> Section | None:
             flat.append(axis.name)
         elif figures := _charts(digest, rows, axis, f"p{k}"):
             blocks.append(Figures(figures, digest.legend))
+            if key == MESH_SIZE and (told := _orders(digest, rows)):
+                notes.append(f"Observed order of the displacement error in the mesh size: {told}.")
             if (step := _stride(axis)) > 1:
                 notes.append(f"Of {axis.name} one value in {step} is drawn, to keep the page small.")
     if blocks and len(digest.swept_keys) > 1:
@@ -63,6 +66,17 @@ def error_against_parameters(digest: Digest) -> Section | None:
     if notes:
         blocks.insert(0, Text(" ".join(notes), kind="note"))
     return Section("parameters", "Error against each swept parameter", blocks) if blocks else None
+
+
+def _orders(digest: Digest, rows: DataFrame) -> str:
+    """The slope of each model's median error against the mesh size, both logarithmic; "" of one size."""
+    found = []
+    for model in digest.compared:
+        mine = rows[(rows["model"] == model) & (rows["metric"] == VECTOR) & (rows["value"] > 0.0)]
+        at = mine.groupby(MESH_SIZE)["value"].median()
+        if len(at) > 1:
+            found.append(f"{model} {np.polyfit(np.log(at.index), np.log(at), 1)[0]:.2f}")
+    return listed(found)
 
 
 def error_against_load(digest: Digest) -> Section | None:

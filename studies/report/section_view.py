@@ -1,19 +1,36 @@
-"""Where on the surface the error sits: the 3-D viewer and its still pictures."""
+"""Where on the surface the error sits: the 3-D viewer with its data, and its still pictures.
+
+Coordinates are 16-bit steps of the bounding box and displacements 16-bit steps of each step's largest
+component: the rounding, 1.5e-5 of the range, is far below a pixel. Surfaces that cases share are stored once.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import base64
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from numpy.typing import NDArray
 
 from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
+from ..study.measured import AXES
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, plain, quantity
+from ..verdict.formatting import capital, listed, plain, quantity
 from .blocks import Section, Still, Text, Viewer
 from .picture import COLOUR_MAPS, Panel, still_of
-from .view import azimuth, candidates, displacement_scale, payload
+from .scene_picture import KINDS, Stage
+from .section_scene import parts_of
+
+_U16, _I16 = 65535, 32767
+_MOST_MEASURED = 2000  # points that the viewer shows
+_TOO_LARGE = (
+    "The surface has too many nodes for a viewer in a page of this size; open the case files in ParaView."
+)
 
 
 def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
@@ -24,13 +41,11 @@ def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
     pictures = [_still(digest, role, case) for role, case in digest.key_cases] if stills else []
     shown = [picture for picture in pictures if picture is not None]
     intro = Text(_introduction(digest), kind="note")
-    for view, note in candidates(digest):
-        viewer = Viewer(payload(view, digest), shown, [note] if note else [])
+    for view in views(digest):
+        notes = [f"To keep the page small, the viewer has {view.leaves_out}"] if view.leaves_out else []
+        viewer = Viewer(payload(view, digest), shown, notes)
         yield [Section("surface", "Where on the surface", [intro, viewer])]
-    note = (
-        "The surface has too many nodes for a viewer in a page of this size; open the case files in ParaView."
-    )
-    yield [Section("surface", "Where on the surface", [intro, Viewer(None, shown, [note])])]
+    yield [Section("surface", "Where on the surface", [intro, Viewer(None, shown, [_TOO_LARGE])])]
 
 
 def _still(digest: Digest, role: str, case: CaseResult) -> Still | None:
@@ -85,4 +100,157 @@ def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
     order = "Left to right: " if len(panels) > 1 else ""
     told = f"{order}{'; '.join(parts)}."
     drawn = f"The displacement is drawn {plain(scale)} times as large." if scale != 1 else ""
-    return panels, " ".join(filter(None, [told[:1].upper() + told[1:], drawn]))
+    return panels, " ".join(filter(None, [capital(told), drawn]))
+
+
+# --- the viewer's data ---
+
+
+@dataclass(frozen=True)
+class View:
+    """What the viewer is asked to show: cases with their roles, models, every load step or the full load alone."""
+
+    cases: Sequence[tuple[str, CaseResult]]
+    models: Sequence[str]
+    history: bool = True
+    leaves_out: str = ""
+
+    def steps_of(self, case: CaseResult) -> list[int]:
+        """The load steps of a case."""
+        return list(range(len(case.load_factors))) if self.history else [case.full_load]
+
+
+def views(digest: Digest) -> list[View]:
+    """From the fullest to the leanest, each with what it leaves out."""
+    cases, models = digest.key_cases, digest.models
+    few = tuple(name for name in models if name in (digest.focus, digest.reference))
+    return [
+        View(cases, models),
+        View(cases, models, False, "the step of full load only."),
+        View(cases[:1], few, False, f"one case at full load, and of the models only {few[0]}."),
+    ]
+
+
+def payload(view: View, digest: Digest) -> dict[str, object]:
+    """The viewer's JSON."""
+    surfaces: dict[tuple[bytes, bytes], int] = {}
+    geometries: list[dict[str, object]] = []
+    cases = []
+    for role, case in view.cases:
+        key = (case.points.tobytes(), case.triangles.tobytes())
+        if key not in surfaces:
+            surfaces[key] = len(geometries)
+            geometries.append(_geometry(case))
+        steps = view.steps_of(case)
+        names = [name for name in view.models if name in case.models]
+        cases.append(
+            {
+                "title": digest.title(role, case),
+                "name": case.label,
+                "geometry": surfaces[key],
+                "reference": case.reference if case.reference in names else None,
+                "factors": [float(case.load_factors[step]) for step in steps],
+                "azimuth": azimuth(case),
+                "scale": displacement_scale(case),
+                "regions": _regions(case),
+                **({"measured": found} if (found := _measured(case, steps)) else {}),
+                "models": [{"name": name, "steps": _displacements(case, name, steps)} for name in names],
+            }
+        )
+    return {
+        "geometries": geometries,
+        "cases": cases,
+        "focus": digest.focus,
+        "colours": colour_maps(),
+        "regionColours": {kind: colour for kind, (_, colour) in KINDS.items()},
+    }
+
+
+def colour_maps() -> dict[str, str]:
+    """256 RGB entries for displacement and for difference: perceptually even, safe for colour-blind readers."""
+    maps = {
+        "displacement": colormaps["viridis"](np.linspace(0, 1, 256)),
+        "difference": colormaps["inferno"](np.linspace(0.12, 0.97, 256)),
+    }
+    return {name: _pack((colours[:, :3] * 255).round().astype(np.uint8)) for name, colours in maps.items()}
+
+
+def azimuth(case: CaseResult) -> float:
+    """Angle about z from which the case's supports and loads are seen best [rad]."""
+    return Stage(case.points, case.triangles, parts_of(case, [case])).azimuth
+
+
+def displacement_scale(case: CaseResult) -> float:
+    """A round factor at least 1 that makes the largest displacement visible: about a tenth of the body."""
+    sizes = [np.abs(result.displacement[np.isfinite(result.displacement)]) for result in case.models.values()]
+    largest = max((float(size.max()) for size in sizes if size.size), default=0.0)
+    wanted = 0.1 * float(np.linalg.norm(np.ptp(case.points, axis=0))) / largest if largest > 0 else 1.0
+    if wanted <= 1.0:
+        return 1.0
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    return float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= wanted))
+
+
+def _regions(case: CaseResult) -> list[dict[str, object]]:
+    """The nodes of the regions that something acts on."""
+    return [
+        {"kind": part.kind, "nodes": _pack(np.flatnonzero(part.nodes).astype(_index_type(case)))}
+        for part in parts_of(case, [case])
+    ]
+
+
+def _measured(case: CaseResult, steps: list[int]) -> list[dict[str, object]]:
+    """The measured points: where they are, and of the kept steps their displacement, null where unknown."""
+    points: dict[tuple[str, str, int], dict[str, Any]] = {}
+    for one in case.measurement.quantities if case.measurement is not None else ():
+        if one.facet < 0 or one.component not in AXES or one.step not in steps:
+            continue
+        about = {
+            "name": one.point,
+            "step": steps.index(one.step),
+            "nodes": case.triangles[one.facet].tolist(),
+            "weights": list(one.weights),
+            "value": [None, None, None],
+            "uncertainty": one.uncertainty,
+        }
+        point = points.setdefault((one.table, one.point, one.step), about)
+        point["value"][AXES.index(one.component)] = one.value
+    return list(points.values())[:_MOST_MEASURED]
+
+
+def _index_type(case: CaseResult) -> str:
+    return "<u4" if len(case.points) > _U16 else "<u2"
+
+
+def _geometry(case: CaseResult) -> dict[str, object]:
+    low = case.points.min(axis=0)
+    step = np.where(np.ptp(case.points, axis=0) > 0, np.ptp(case.points, axis=0), 1.0) / _U16
+    return {
+        "nodes": len(case.points),
+        "low": [float(v) for v in low],
+        "step": [float(v) for v in step],
+        "points": _pack(((case.points - low) / step).round().astype("<u2")),
+        "wide": len(case.points) > _U16,
+        "triangles": _pack(case.triangles.astype(_index_type(case))),
+    }
+
+
+def _displacements(case: CaseResult, model: str, steps: list[int]) -> list[dict[str, object]]:
+    out: list[dict[str, object]] = []
+    for step in steps:
+        u = case.models[model].displacement[step]
+        status = case.models[model].status[step]
+        if not status.ok or not np.isfinite(u).all():
+            out.append({"message": status.message or status.code})
+            continue
+        scale = float(np.abs(u).max()) / _I16
+        out.append({"scale": scale, "data": _pack(_rounded(u, scale))})
+    return out
+
+
+def _rounded(u: Array, scale: float) -> NDArray[np.int16]:
+    return (u / scale if scale > 0 else np.zeros_like(u)).round().astype("<i2")
+
+
+def _pack(values: NDArray[np.generic]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -15,8 +15,8 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from ..verdict.palette import COLOURS
-from .told import ID
 
+ID = "told:"  # how the id of a curve begins whose words the page's script shows
 # drawn in these, shown in the page's
 INK, GRID, REFERENCE = "#010203", "#020304", "#030405"
 MODELS = tuple(f"#0405{k:02x}" for k in range(COLOURS))
@@ -80,7 +80,6 @@ def for_the_page(svg: str, alt: str, salt: str, attributes: str = "") -> Markup:
     svg = re.sub(r" font-family: [^;\"]+;?", "", svg)
     svg = _TAG.sub(lambda tag: _BEYOND_HUNDREDTHS.sub("", tag[0]), svg)  # not in its texts
     svg = re.sub(r' transform="rotate\(-0 [^"]*"', "", svg)
-    svg = _MARKERS_OF_ONE_STYLE.sub(_style_once, svg)
     for text in told:
         svg = svg.replace(_TOLD, f'data-told="{text}"', 1)
     return Markup(
@@ -91,15 +90,3 @@ def for_the_page(svg: str, alt: str, salt: str, attributes: str = "") -> Markup:
 _TOLD = "\ue001"  # where a curve's words come back
 _TAG = re.compile(r"<[^>]*>")
 _BEYOND_HUNDREDTHS = re.compile(r"(?<=\d\.\d\d)\d+")
-_MARKERS_OF_ONE_STYLE = re.compile(
-    r'<g( clip-path="[^"]*")?>\n((?:<use href="[^"]*" x="[^"]*" y="[^"]*" style="[^"]*"/>\n)+)</g>'
-)
-
-
-def _style_once(group: re.Match[str]) -> str:
-    """Markers that share a style have it on their group: half the bytes of a cloud of points."""
-    styles = set(re.findall(r' style="([^"]*)"', group[2]))
-    if len(styles) > 1:
-        return group[0]
-    bare = re.sub(r' style="[^"]*"', "", group[2])
-    return f'<g{group[1] or ""} style="{styles.pop()}">{bare}</g>'

@@ -17,7 +17,7 @@ from tests.report.runs import RADIUS, make_case, make_run
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.measurement import Measurement, Quantity
 from vdmbench.report.page import page_html
-from vdmbench.report.view import candidates, payload
+from vdmbench.report.section_view import payload, views
 from vdmbench.verdict.digest import Digest
 
 WEIGHTS = (0.5, 0.25, 0.25)
@@ -41,7 +41,7 @@ def measured_case() -> CaseResult:
 
 def viewed(case: CaseResult, view: int = 0) -> list[dict[str, Any]]:
     digest = Digest(make_run([case]))
-    data: Any = payload(candidates(digest)[view][0], digest)
+    data: Any = payload(views(digest)[view], digest)
     measured: list[dict[str, Any]] = data["cases"][0].get("measured", [])
     return measured
 

@@ -11,6 +11,7 @@ import json
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from vdmbench.report.blocks import Figures
 from vdmbench.report.page import MOST_BYTES, page_html, write_report
 from vdmbench.report.plots import place
 from vdmbench.report.section_errors import error_against_parameters
-from vdmbench.report.view import View, candidates, displacement_scale, payload
+from vdmbench.report.section_view import displacement_scale, payload, views
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.formatting import percent
 
@@ -269,8 +270,8 @@ def unpack(text: object, kind: str) -> np.ndarray:
 def test_viewer_data_hold_the_displacements() -> None:
     cases = [make_case({"m": e}, label=str(e), swept={"k": e}, subdivisions=2) for e in (0.1, 0.4)]
     digest = Digest(make_run(cases))
-    view, note = candidates(digest)[0]
-    assert note == ""
+    view = views(digest)[0]
+    assert view.leaves_out == ""
     data = json.loads(json.dumps(payload(view, digest)))
     (geometry,) = data["geometries"]  # one for both cases
     low, step = np.array(geometry["low"]), np.array(geometry["step"])
@@ -293,7 +294,8 @@ def test_the_viewer_begins_where_supports_and_loads_are_seen() -> None:
     for angle in (0.3, 2.0, 4.0):
         side = case.points @ [np.cos(angle), np.sin(angle), 0.0] > 0.04
         turned = dataclasses.replace(case, regions={**case.regions, "finger": side})
-        data = payload(candidates(Digest(make_run([turned])))[0][0], Digest(make_run([turned])))
+        digest = Digest(make_run([turned]))
+        data: Any = payload(views(digest)[0], digest)
         assert np.cos(data["cases"][0]["azimuth"] - angle) > 0.2
         regions = data["cases"][0]["regions"]
         assert [region["kind"] for region in regions] == ["fixed", "contact"]
@@ -303,7 +305,7 @@ def test_the_viewer_begins_where_supports_and_loads_are_seen() -> None:
 
 def test_a_failed_step_is_a_message_to_the_viewer() -> None:
     digest = Digest(make_run([make_case({"m": 0.1}, stopped={"m": 1}, subdivisions=0)]))
-    data = json.loads(json.dumps(payload(candidates(digest)[0][0], digest), allow_nan=False))
+    data = json.loads(json.dumps(payload(views(digest)[0], digest), allow_nan=False))
     steps = next(m["steps"] for m in data["cases"][0]["models"] if m["name"] == "m")
     assert "data" in steps[0]
     assert steps[1:] == [{"message": "the volume could not be held"}] * 3
@@ -321,19 +323,9 @@ def test_views_get_leaner_and_say_so() -> None:
         for e in (0.1, 0.2, 0.3)
     ]
     digest = Digest(make_run(cases))
-    sizes = [len(json.dumps(payload(view, digest))) for view, _ in candidates(digest)]
-    assert sizes == sorted(sizes, reverse=True)
-    assert len(set(sizes)) == 4
-    assert all(note for _, note in candidates(digest)[1:])
-
-
-def test_kept_steps_always_hold_full_load() -> None:
-    case = make_case({"a": 0.1}, steps=(0.2, 0.4, 1.0, 0.8, 0.6, 0.4, 0.2), subdivisions=0)
-    for most in range(1, 8):
-        steps = View([("", case)], ["a"], most).steps_of(case)
-        assert 2 in steps
-        assert len(steps) <= most
-        assert steps == sorted(set(steps))
+    sizes = [len(json.dumps(payload(view, digest))) for view in views(digest)]
+    assert sizes == sorted(set(sizes), reverse=True)
+    assert all(view.leaves_out for view in views(digest)[1:])
 
 
 def test_a_surface_too_large_for_the_page_is_left_to_other_tools(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,9 +9,8 @@ import pytest
 
 from tests.report.runs import REFERENCE, make_case, make_run
 from vdmbench.report.blocks import Figures
-from vdmbench.report.plots import Plot, percent_axis
+from vdmbench.report.plots import Plot, percent_axis, tell
 from vdmbench.report.section_errors import error_against_load, error_against_parameters
-from vdmbench.report.told import tell
 from vdmbench.verdict.digest import Digest
 
 
@@ -87,3 +86,13 @@ def test_a_line_joins_the_medians_of_cases_that_share_a_value() -> None:
     assert [figure.title[-2:] for figure in figures] == ["nu", "nu", " k", " k"]
     assert figures[0].svg.count("data-told") == 1
     assert "m from 3 % to 24 %" in figures[0].svg, "the range of all cases"
+
+
+def test_where_the_mesh_size_is_swept_the_order_of_each_error_is_told() -> None:
+    cases = [
+        make_case({"m": h**1.5, "n": 0.3}, label=f"{h}", swept={"geometry.mesh_size": h}, subdivisions=0)
+        for h in (0.01, 0.02, 0.04)
+    ]
+    section = error_against_parameters(Digest(make_run(cases)))
+    assert section is not None
+    assert "in the mesh size: m 1.50 and n 0.00" in section.blocks[0].text

@@ -14,6 +14,7 @@ from tests.report.runs import make_case, make_run
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.measures.metrics import History, evaluate
+from vdmbench.report.section_stability import numerical_stability
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.ladders import Ladder, ladders, reading, trusted
 
@@ -188,3 +189,16 @@ def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> No
         read = reading(dataclasses.replace(grew, models={DIRECT: unsolved}), DIRECT)
         assert read is not None
         assert read.code == "wrong", "a load that is too large excuses no residual"
+
+
+def test_the_page_has_a_table_of_breakdowns_and_names_what_is_wrong_in_silence() -> None:
+    section = numerical_stability(Digest(make_run(star(), sweep="one-at-a-time")))
+    assert section is not None
+    first, table, _ = section.blocks
+    assert "vdm-paper at Poisson ratio 0.3 and vdm-paper:lu at slivers 1e+06" in first.text
+    rows = [[cell.text for cell in row] for row in table.rows]
+    assert ["slivers", NONLINEAR, "100 to 100", "10000", "diverged", "take smaller load steps"] in rows
+    assert ["slivers", DIRECT, "100 to 1e+06", "nowhere", "–", "–"] in rows
+    assert [row[3] for row in rows if row[:2] == ["Poisson ratio", DIRECT]] == ["0.3", "0.5"]
+    assert numerical_stability(Digest(make_run(star()))) is None
+    assert numerical_stability(Digest(make_run(star(), claims=[9]))) is not None
