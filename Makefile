@@ -29,7 +29,7 @@ test: setup
 	wait $$types || { echo 'mypy found errors: see above'; exit 1; }; exit $$tests
 
 verify: setup
-	$(PYTEST) --verification -m anchor
+	$(PYTEST) --verification -m "anchor or slow"
 
 # SURFACE=liver.obj draws the front page's picture with a real liver
 docs: setup

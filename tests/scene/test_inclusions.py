@@ -114,6 +114,7 @@ WITH_LUMPS: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 def test_boundary_elements_know_lumps_nested_and_apart() -> None:
     """Within 5 % of elements on the same tetrahedra, where without the lumps they are a quarter off."""
     mesh = build_mesh(study(**WITH_LUMPS).geometry)

@@ -143,6 +143,7 @@ def test_what_makes_a_study_small_is_still_in_it(name: str, tmp_path: Path) -> N
     assert len(cases) <= len(expand(load_study(SHIPPED / f"{name}.toml")))
 
 
+@pytest.mark.slow
 def test_no_step_that_is_called_converged_is_wrong(found: dict[str, Ladder]) -> None:
     assert check(found), "the ladders go far enough to break something"
 
@@ -210,6 +211,7 @@ def test_the_size_of_the_mesh_breaks_no_solver(name: str, tmp_path: Path) -> Non
         assert model in LOCKING or 0.15 * squared < growth, (model, growth)
 
 
+@pytest.mark.slow
 def test_the_direct_solver_stands_every_modulus_penalty_and_sliver(found: dict[str, Ladder]) -> None:
     assert set(found) >= {"geometry.slivers", "vdm.bulk_modulus", "models.vdm-paper:lu.penalty"}
     for key in ("geometry.slivers", "geometry.perturbation", "vdm.bulk_modulus", "vdm.foundation"):
@@ -224,6 +226,7 @@ def test_the_direct_solver_stands_every_modulus_penalty_and_sliver(found: dict[s
         assert statuses[0] in ("converged", "inaccurate"), "a soft penalty may let held nodes go, and says so"
 
 
+@pytest.mark.slow
 def test_a_support_of_one_node_is_refused_by_the_forms_that_could_turn(found: dict[str, Ladder]) -> None:
     ladder = found["regions.base.cap.angle"]
     for model in ("vdm-vector", "vdm-vector:cg", "vdm-vector:nonlinear"):
@@ -234,6 +237,7 @@ def test_a_support_of_one_node_is_refused_by_the_forms_that_could_turn(found: di
         assert not ladder.breakdowns(model)
 
 
+@pytest.mark.slow
 def test_conditions_are_told(found: dict[str, Ladder]) -> None:
     readings = found["models.vdm-paper:lu.penalty"].readings["vdm-paper:lu"]
     conditions = [reading.condition for reading in readings if reading is not None and reading.ok]

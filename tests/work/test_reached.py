@@ -69,7 +69,7 @@ def _run(folder: Path, factors: list[float], levels: int, weight: float = 1.0, c
     return case
 
 
-@pytest.mark.parametrize(("before", "levels"), [([], 2), ([0.1], 1)])
+@pytest.mark.parametrize(("before", "levels"), [pytest.param([], 2, marks=pytest.mark.slow), ([0.1], 1)])
 def test_the_load_that_was_reached_is_compared_and_is_not_the_full_load(
     tmp_path: Path, before: list[float], levels: int
 ) -> None:
