@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array, coo_array, csr_array
+from scipy.sparse import coo_array, csr_array
 from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, LinearForm
 
 from fem_reference.mesh import TetMesh
@@ -138,11 +138,6 @@ def elasticity_blocks(
     per unit shear modulus. `fibres` is a symmetric (3, 3) M that adds `(M : eps(u)) (M : eps(v))`. All of it times
     `stiffness`, an (m,) factor of each tetrahedron.
     """
-    if mesh.curved is not None:
-        if fibres is not None:
-            mesh.check_straight("there are no fibres")
-        matrix = bsr_array(mesh.curved.elasticity(divergence, stiffness), blocksize=(3, 3))
-        return _in_order(matrix, pattern.indptr, pattern.indices)
     sizes = mesh.volumes if stiffness is None else mesh.volumes * stiffness
     width = mesh.element_nodes.shape[1]
     barycentric, weights = tetrahedron_quadrature()
@@ -177,9 +172,6 @@ def elasticity_blocks(
 
 def divergence_blocks(mesh: TetMesh, coupling: Pattern) -> Array:
     """(coupling.size, 1, 3) blocks of the integral of `q div u` over P1 pressures q and displacements [m^2]."""
-    if mesh.curved is not None:
-        matrix = bsr_array(mesh.curved.divergence(), blocksize=(1, 3))
-        return _in_order(matrix, coupling.indptr, coupling.indices)
     width = mesh.element_nodes.shape[1]
     barycentric, weights = tetrahedron_quadrature()
     grads = reference_gradients(mesh.order, barycentric)
@@ -197,8 +189,6 @@ def divergence_blocks(mesh: TetMesh, coupling: Pattern) -> Array:
 
 def mass_matrix(mesh: TetMesh, weights: Array | None = None) -> csr_array:
     """Mass matrix of the P1 pressures, each tetrahedron times its weight, by scikit-fem [m^3]."""
-    if mesh.curved is not None:
-        return mesh.curved.mass(weights)
     basis = Basis(mesh.pressure_mesh, ElementTetP1(), intorder=2, disable_doflocs=True)
     scale = np.ones((1, 1)) if weights is None else weights[:, None]
     return csr_array(BilinearForm(lambda p, q, w: w.scale * p * q).assemble(basis, scale=scale))
@@ -206,26 +196,9 @@ def mass_matrix(mesh: TetMesh, weights: Array | None = None) -> csr_array:
 
 def gravity_weights(mesh: TetMesh) -> Array:
     """(n_nodes,) integrals of the shape functions, by scikit-fem [m^3]."""
-    if mesh.curved is not None:
-        return mesh.curved.shares()
     element = ElementTetP2() if mesh.order == 2 else ElementTetP1()
     basis = Basis(mesh.skfem_mesh, element, intorder=mesh.order, disable_doflocs=True)
     return np.asarray(LinearForm(lambda v, _: 1.0 * v).assemble(basis))
-
-
-def _in_order(matrix: bsr_array, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> Array:
-    """The blocks of a matrix in the order of a pattern that holds all of them; zero where it has none."""
-    matrix.sort_indices()
-    if len(matrix.indices) == len(indices) and (matrix.indices == indices).all():
-        return np.asarray(matrix.data)
-    width = matrix.shape[1] // matrix.blocksize[1]
-
-    def keys(starts: NDArray[np.int32], columns: NDArray[np.int32]) -> Index:
-        return np.repeat(np.arange(len(starts) - 1), np.diff(starts)) * width + columns
-
-    out = np.zeros((len(indices), *matrix.blocksize))
-    out[np.searchsorted(keys(indptr, indices), keys(matrix.indptr, matrix.indices))] = matrix.data
-    return out
 
 
 def chunks(count: int, most: int) -> list[slice]:

@@ -77,7 +77,6 @@ class CondensedProblem:
     ) -> None:
         start = time.perf_counter()
         mesh = problem.mesh
-        mesh.check_straight("there is no condensed form")
         self.problem = problem
         mask = np.asarray(contact, dtype=bool)
         count = len(mesh.surface_nodes)

@@ -83,7 +83,6 @@ class ContactProblem:
     def __init__(self, problem: LinearProblem, indenter: Indenter, region: ArrayLike) -> None:
         start = time.perf_counter()
         mesh = problem.mesh
-        mesh.check_straight("there is no contact")
         mask = np.asarray(region, dtype=bool)
         if mask.shape != (len(mesh.surface_nodes),):
             raise _bad_contact(f"region has shape {mask.shape}", f"give shape ({len(mesh.surface_nodes)},)")

@@ -1,23 +1,14 @@
-"""What the paths through the linear system are expected to cost, for the choice between them.
-
-Loads nothing slow, so that who asks for the bytes need not wait: of the solvers rslab, which takes milliseconds.
-"""
+"""What the paths through the linear system are expected to cost, for the choice between them."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-try:
-    import rslab as rslab
-except (ImportError, OSError):  # no wheel for this machine, or one whose shared libraries are missing
-    rslab = None  # type: ignore[assignment]
-
 RESTART = 80  # vectors that GMRES keeps
 # Entries of SuperLU's L and U of a P2-P1 system with 1e5 unknowns and the exponent of their growth, and the bytes
-# that an entry takes at the peak in single and double precision: balls and cubes of 4,000 to 28,000 unknowns.
-_FILL, _FILL_EXPONENT = 5.5e8, 1.6
-_BYTES_PER_ENTRY = {"float32": 8.5, "float64": 13.0}
+# that an entry takes at the peak: balls and cubes of 4,000 to 28,000 unknowns.
+_FILL, _FILL_EXPONENT, _BYTES_PER_ENTRY = 5.5e8, 1.6, 13.0
 # Measured on a pressed sphere: Newton steps in a load step, preconditioners made, and the work of an inexact solve
 # over that of a linear problem (a dozen solves with a factor, half the GMRES steps).
 NEWTON_STEPS = 4
@@ -73,25 +64,16 @@ def faster_that_fits(costs: dict[str, Estimate], task: str, allowed: float) -> t
 
 
 def direct_seconds(unknowns: float, loads: float) -> float:
-    """Estimate for one core: a factorisation and the solves of the mixed system, by the library in use [s]."""
+    """Estimate for one core: a factorisation and the solves of the mixed system [s]."""
     size = unknowns / 1e5
-    if rslab is None:
-        return lu_seconds(unknowns) + loads * 0.7 * size**_FILL_EXPONENT
     return 10.0 * size**1.6 + loads * 0.1 * size**1.3
-
-
-def lu_seconds(unknowns: float) -> float:
-    """Estimate for one core: a factorisation of the mixed system by SuperLU [s]."""
-    return 450.0 * (unknowns / 1e5) ** 2.35
 
 
 def direct_bytes(unknowns: float) -> float:
     """Estimate: memory of a factor of the mixed system in single precision [B]."""
-    if rslab is None:
-        return superlu_bytes(unknowns, "float32")
     return 8.4e8 * (unknowns / 1e5) ** 1.3
 
 
-def superlu_bytes(unknowns: float, precision: str) -> float:
-    """Estimate: memory of SuperLU's factors of the mixed system [B]."""
-    return _BYTES_PER_ENTRY[precision] * _FILL * (unknowns / 1e5) ** _FILL_EXPONENT
+def superlu_bytes(unknowns: float) -> float:
+    """Estimate: memory of SuperLU's factors of the mixed system, by which the plain path solves it [B]."""
+    return _BYTES_PER_ENTRY * _FILL * (unknowns / 1e5) ** _FILL_EXPONENT

@@ -11,7 +11,6 @@ import numpy as np
 from fem_reference.loads import gather_to_vertices
 from fem_reference.newton import Newton, Substep
 from fem_reference.outputs import strain_below
-from fem_reference.recovery import StrainRecovery
 from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.surface_stretch import BIOT, CREASE, most_compressed
 from solver_common.arrays import Array
@@ -19,7 +18,6 @@ from solver_common.arrays import Array
 OUTPUTS = {
     "condition_estimate": "condition number of the scaled tangent's symmetric part in that state, see"
     " `fem_reference.condition`",
-    "discretisation_error": "estimated relative error of the Green-Lagrange strain, see `fem_reference.recovery`",
     "max_det_f_deviation": "largest |det F - 1| at the quadrature points",
     "max_principal_strain": "largest principal Green-Lagrange strain at the quadrature points",
     "p95_principal_strain": "principal Green-Lagrange strain that 95 % of the volume stays below",
@@ -64,7 +62,6 @@ class Record:
         steps, outputs = self.steps, self.outputs
         self.system, self.assembly = self.newton.system, self.newton.assembly
         mesh = self._mesh = self.system.mesh
-        self._recovery = StrainRecovery(mesh, finite=True) if "discretisation_error" in outputs else None
         nodes = len(mesh.surface_nodes)
         self._displacement = np.full((steps, nodes, 3), np.nan)
         self._reaction = np.full((steps, nodes, 3), np.nan)
@@ -178,9 +175,7 @@ class Record:
         self._energy[number] = energy * self.shear_modulus * length**3
         local = self.outputs & {"max_det_f_deviation", "max_principal_strain", "p95_principal_strain"}
         deviation, strain = self.assembly.largest(u) if local else (np.nan, np.full((1, 1), np.nan))
-        error = self._recovery.relative_error(u * length) if self._recovery else np.nan
         values = {
-            "discretisation_error": error,
             "max_det_f_deviation": deviation,
             "max_principal_strain": float(strain.max()),
             "p95_principal_strain": strain_below(strain, self.assembly.volumes) if local else np.nan,

@@ -16,13 +16,6 @@ from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
 
 
-def curved_area_vectors(mesh: TetMesh) -> Array:
-    """(F, Q, 3) area vectors at the points of `facet_quadrature`, whose weighted sum is an integral [m^2]."""
-    by_r, by_s = facet_derivatives(facet_quadrature()[0])
-    corners = mesh.node_points[mesh.facet_nodes]
-    return np.asarray(0.5 * np.cross(by_r @ corners, by_s @ corners))
-
-
 class FollowerPressure:
     """Forces -p N n da on the deformed quadratic facets.
 

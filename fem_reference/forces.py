@@ -12,7 +12,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fem_reference.follower import curved_area_vectors
 from fem_reference.mesh import TetMesh
 from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
@@ -111,7 +110,6 @@ def line_forces(mesh: TetMesh, edges: ArrayLike, force: ArrayLike) -> Array:
     SolverError
         For no edge, or a pair of nodes that no triangle joins.
     """
-    mesh.check_straight("there are no line forces")
     ends = np.asarray(edges, dtype=np.int64)
     if ends.ndim != 2 or ends.shape[1:] != (2,) or not len(ends):
         raise _bad_load(
@@ -170,9 +168,8 @@ def point_forces(mesh: TetMesh, facet: int, barycentric: ArrayLike, force: Array
 
 
 def _areas(mesh: TetMesh) -> Array:
-    """(F, Q) or (F, 1) area by which a weighted sum over a facet is an integral."""
-    vectors = mesh.area_vectors[:, None] if mesh.curved is None else curved_area_vectors(mesh)
-    return np.asarray(np.linalg.norm(vectors, axis=2))
+    """(F, 1) area by which a weighted sum over a facet is an integral."""
+    return np.asarray(np.linalg.norm(mesh.area_vectors, axis=1)[:, None])
 
 
 _bad_load = partial(solver_error, "bad-load")

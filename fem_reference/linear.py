@@ -11,7 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -97,8 +97,6 @@ class LinearProblem:
     parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
     elastic_supports : springs under parts of the surface
     cavities : (F, k) facets of the walls of cavities that an incompressible fluid fills: each keeps its volume
-    onto : moves (k, 3) points near the surface onto it, for curved elements, see `fem_reference.curved`; without
-        parts, springs, fibres, and outputs of the strain
     density : [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
@@ -128,7 +126,6 @@ class LinearProblem:
         parts: ArrayLike | None = None,
         elastic_supports: Sequence[ElasticSupport] = (),
         cavities: ArrayLike | None = None,
-        onto: Callable[[Array], Array] | None = None,
         solver: str = "auto",
         expected_loads: int = 1,
         element: str = "P2-P1",
@@ -143,7 +140,7 @@ class LinearProblem:
             )
         order, mixed = ELEMENTS[element]
         check_density(density)
-        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=order, parts=parts, onto=onto)
+        self.mesh = TetMesh(points, tetrahedra, surface_nodes, triangles, order=order, parts=parts)
         moduli = make_moduli(self.mesh, youngs_modulus, poisson_ratio, mixed=mixed)
         self.element = element
         self.youngs_modulus = moduli.youngs_modulus
@@ -280,7 +277,6 @@ class LinearProblem:
     def _strain_outputs(self, fields: Fields, coefficients: Array, names: frozenset[str]) -> dict[str, Array]:
         if not names:
             return {}
-        self.mesh.check_straight(f"there is no {min(names)}")
         # all steps at once can be many times the memory of those that were solved
         parts = [coefficients[:, first : first + BATCH] for first in range(0, coefficients.shape[1], BATCH)]
         found = [strain_outputs(self.mesh, _combination(fields.displacement, part), names) for part in parts]

@@ -18,7 +18,7 @@ from scipy.sparse import csc_array
 from threadpoolctl import threadpool_limits
 
 from fem_reference.costs import Estimate, estimate_costs, faster_that_fits
-from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
+from fem_reference.factorisation import LIBRARY, Analysis, pivotable_triangle
 from fem_reference.krylov import gmres, independent_columns
 from fem_reference.memory import allowed_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
@@ -97,7 +97,7 @@ class DirectSolver:
         self._system = system
         self._memory_limit = memory_limit
         matrix = pivotable_triangle(system)
-        self._analysis = analyse(matrix)
+        self._analysis = Analysis(matrix)
         double = loads >= _MANY_LOADS and self._needed("float64") <= allowed_memory(memory_limit)
         self._factorise("float64" if double else "float32", matrix)
 

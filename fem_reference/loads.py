@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.assembly import gravity_weights
-from fem_reference.follower import curved_area_vectors
 from fem_reference.krylov import independent_columns
 from fem_reference.mesh import TetMesh
 from fem_reference.springs import Springs
@@ -110,11 +109,7 @@ def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
         forces += density * gravity_weights(mesh)[None, :, None] * gravities[:, None, :]
     for force, load in zip(forces, loads, strict=True):
         pressure = np.asarray(load.facet_pressure) * weights
-        if mesh.curved is None:
-            local = (pressure @ shape)[:, :, None] * mesh.area_vectors[:, None]
-        else:
-            local = shape.T @ (pressure[:, :, None] * curved_area_vectors(mesh))
-        force -= mesh.summed(mesh.facet_nodes, local)
+        force -= mesh.summed(mesh.facet_nodes, (pressure @ shape)[:, :, None] * mesh.area_vectors[:, None])
         if load.forces is not None:
             force += load.forces
     return forces

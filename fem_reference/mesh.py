@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property, partial
 
 import numpy as np
@@ -12,7 +11,6 @@ from scipy.sparse.csgraph import connected_components
 from skfem import Basis, ElementTetP1, ElementTetP2, ElementVector, MeshTet
 from skfem.assembly import Dofs
 
-from fem_reference.curved import Curved
 from solver_common.arrays import Array, Index
 from solver_common.quadrature import facet_quadrature as facet_quadrature
 from solver_common.solution import solver_error
@@ -42,7 +40,6 @@ class TetMesh:
     surface_nodes : (N,) indices into `points`
     triangles : (F, 3) indices into `surface_nodes`: the whole boundary, outward
     parts : (m,) number of the part of the body that each tetrahedron belongs to, or None for one part
-    onto : moves (k, 3) middles of boundary edges onto the true surface, for curved elements; P2 and one part only
 
     Attributes
     ----------
@@ -58,7 +55,6 @@ class TetMesh:
     facet_edges : (F, 3 or 0) which boundary edge each edge of a facet is
     surface_edges : (E, 2) surface-node indices of the ends of each boundary edge
     surface_edge_nodes : (E,) node number of each boundary edge; empty for P1
-    curved : what curved elements are assembled from, None for straight ones
 
     Raises
     ------
@@ -76,7 +72,6 @@ class TetMesh:
         *,
         order: int = 2,
         parts: ArrayLike | None = None,
-        onto: Callable[[Array], Array] | None = None,
     ) -> None:
         self.points = np.ascontiguousarray(points, dtype=np.float64)
         self.tetrahedra = np.ascontiguousarray(tetrahedra, dtype=np.int64)
@@ -91,12 +86,6 @@ class TetMesh:
         )
         self._number_nodes()
         self.pressure_elements, self.pressure_vertices = self._number_pressures(parts)
-        self.curved: Curved | None = None
-        if onto is not None:
-            if order != 2 or parts is not None:
-                raise _bad_mesh("curved elements are P2 and of one part", "leave out onto, or parts")
-            self.curved = Curved(self.skfem_mesh, self.node_points, self.surface_edge_nodes, onto)
-            self.node_points = self.curved.node_points
 
     @property
     def n_pressures(self) -> int:
@@ -160,8 +149,6 @@ class TetMesh:
         intorder : degree to which integrals over a tetrahedron are exact
         """
         element = ElementTetP2() if self.order == 2 else ElementTetP1()
-        if self.curved is not None:
-            return self.curved.bases(intorder)
         displacement = Basis(self.skfem_mesh, ElementVector(element), intorder=intorder)
         return displacement, Basis(self.pressure_mesh, ElementTetP1(), intorder=intorder)
 
@@ -171,7 +158,7 @@ class TetMesh:
 
     @property
     def facet_points(self) -> Array:
-        """(F, Q, 3) points of `facet_quadrature` on the facets, straight or curved [m]."""
+        """(F, Q, 3) points of `facet_quadrature` on the facets [m]."""
         shape = self.facet_functions(facet_quadrature()[0])
         return np.asarray(np.einsum("qa,fai->fqi", shape, self.node_points[self.facet_nodes]))
 
@@ -181,11 +168,6 @@ class TetMesh:
         for i in range(3):
             out[:, i] = np.bincount(nodes.ravel(), weights=local[..., i].ravel(), minlength=self.n_nodes)
         return out
-
-    def check_straight(self, what: str) -> None:
-        """Refuse what curved elements do not have. Raises SolverError."""
-        if self.curved is not None:
-            raise _bad_mesh(f"{what} of a body with curved elements", "leave out onto")
 
     def _check_arrays(self) -> None:
         for name, array, width in (

@@ -127,7 +127,7 @@ class PlainBody:
         )
         self.held_dofs = self._held_dofs(np.asarray(held))
         self.springs = self._springs(elastic_supports)
-        check_memory(superlu_bytes(self.basis.N + self.pressure_basis.N, "float64"), None, "plain")
+        check_memory(superlu_bytes(self.basis.N + self.pressure_basis.N), None, "plain")
 
     def _facets_of_triangles(self) -> Index:
         """(F,) scikit-fem's number of each triangle."""

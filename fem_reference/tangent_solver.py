@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from fem_reference.costs import NEWTON_STEPS, estimate_costs, estimate_newton_costs, faster_that_fits
-from fem_reference.factorisation import LIBRARY, analyse, pivotable_triangle
+from fem_reference.factorisation import LIBRARY, Analysis, pivotable_triangle
 from fem_reference.krylov import gmres
 from fem_reference.linear_algebra import SOLVERS
 from fem_reference.memory import allowed_memory, check_memory
@@ -73,7 +73,7 @@ class Factors:
     def __init__(self, system: LinearSystem, memory_limit: float | None) -> None:
         self._precision = "float32"
         self._memory_limit = memory_limit
-        self._analysis = analyse(pivotable_triangle(system))
+        self._analysis = Analysis(pivotable_triangle(system))
         self.estimated_bytes = self._needed(self._precision)
         check_memory(self.estimated_bytes, memory_limit, self.name)
 

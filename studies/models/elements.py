@@ -269,7 +269,7 @@ def _takes(solvers: tuple[str, ...], *more: str) -> dict[str, tuple[str, ...]]:
 
 
 def _plain(size: Size) -> float:
-    return superlu_bytes(4.7 * size.tetrahedra, "float64") + 6e4 * size.tetrahedra
+    return superlu_bytes(4.7 * size.tetrahedra) + 6e4 * size.tetrahedra
 
 
 def _quadratic(size: Size, solver: str) -> float:
