@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 
 from ..study.registry import PARAMETERS
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, plain, plural
+from ..verdict.formatting import first_of, plain
 from .blocks import Block, Code, Facts, Section, Text
 
-_MESH_UNITS = {
+_UNITS = {
+    **{name: unit for name, (_, unit) in PARAMETERS.items()},
     "area": "m²",
     "volume": "m³",
     "seconds": "s",
     "surface_distance_max": "m",
     "surface_distance_mean": "m",
-}
-_PARAMETER_UNITS = {
-    **{name: unit for name, (_, unit) in PARAMETERS.items()},
     "youngs_modulus": "Pa",
     "density": "kg/m³",
     "coarse_density": "kg/m³",
@@ -53,57 +51,44 @@ def how_to_reproduce(digest: Digest) -> Section:
 
 
 def provenance(digest: Digest) -> Section | None:
-    """Packages, machine, meshes and the models' parameters."""
-    if not digest.cases:
+    """Packages, machine, meshes and the models' parameters, each over all cases."""
+    cases = digest.cases
+    if not cases:
         return None
-    files = _geometry_files(digest)
-    rows = [("geometry file", listed(files))] if files else []
-    rows.append(("surface nodes", _range([len(case.points) for case in digest.cases], "")))
-    measured = dict.fromkeys(key for case in digest.cases for key in case.mesh_quality)
-    for key in (key for key in measured if key != "surface_nodes"):
-        values = [case.mesh_quality[key] for case in digest.cases if key in case.mesh_quality]
-        rows.append((f"mesh: {key.replace('_', ' ')}", _range(values, _MESH_UNITS.get(key, ""))))
-    keys = dict.fromkeys(key for case in digest.cases for key in case.provenance)
-    rows += [(key.removeprefix("package.").replace("_", " "), _over_cases(digest, key)) for key in keys]
+    # the names of files alone: their directories are the user's own affair
+    files = [path.name for case in cases if (path := case.study.geometry.path) is not None]
+    rows = [("geometry file", first_of(list(dict.fromkeys(files)), 3))] if files else []
+    rows.append(("surface nodes", _over([len(case.points) for case in cases], "surface_nodes")))
+    rows += [
+        (f"mesh: {key}", told)
+        for key, told in _each(case.mesh_quality for case in cases)
+        if key != "surface nodes"
+    ]
+    rows += _each(case.provenance for case in cases)
     blocks: list[Block] = [Facts(rows)]
     for model in digest.models:
-        case = next((case for case in digest.cases if model in case.models), None)
-        if case is None:
-            continue
-        result = case.models[model]
-        entries = [
-            ("version", result.version),
-            *((key, _parameter(key, value)) for key, value in result.parameters.items()),
-        ]
-        suffix = "" if len(digest.cases) == 1 else f", as in {digest.case_name(case)}"
-        blocks.append(Facts(entries, summary=f"Parameters of {model}{suffix}"))
+        results = [case.models[model] for case in cases if model in case.models]
+        if results:
+            facts = [("version", _over([result.version for result in results], "version"))]
+            facts += _each(result.parameters for result in results)
+            blocks.append(Facts(facts, summary=f"Parameters of {model}"))
     return Section("provenance", "Provenance", blocks)
 
 
-def _geometry_files(digest: Digest) -> list[str]:
-    """The names of the files that the bodies are from; their directories are the user's own affair."""
-    paths = [case.study.geometry.path for case in digest.cases]
-    return [path.name for path in dict.fromkeys(paths) if path is not None]
+def _each(tables: Iterable[Mapping[str, float | str]]) -> list[tuple[str, str]]:
+    """(key in words, its values) of every key of some tables."""
+    found: dict[str, list[float | str]] = {}
+    for table in tables:
+        for key, value in table.items():
+            found.setdefault(key, []).append(value)
+    return [(k.removeprefix("package.").replace("_", " "), _over(values, k)) for k, values in found.items()]
 
 
-def _range(values: Sequence[float], unit: str) -> str:
-    low, high = (plain(float(f(values)), 6 if float(f(values)).is_integer() else 3) for f in (min, max))
-    return f"{low if low == high else f'{low} to {high}'} {unit}".strip()
-
-
-def _over_cases(digest: Digest, key: str) -> str:
-    values = list(dict.fromkeys(case.provenance[key] for case in digest.cases if key in case.provenance))
-    if key == "date" and len(values) > 1:
-        return f"{min(values)} to {max(values)}"
-    if key.endswith("hash"):
-        values = [value[:_SHORT] for value in values]
-    if len(values) > 3:
-        return f"{listed(values[:2])} and {plural(len(values) - 2, 'other')}".replace(" and ", ", ", 1)
-    return listed(values)
-
-
-def _parameter(name: str, value: float | str) -> str:
-    if isinstance(value, str):
-        return value
-    unit = _PARAMETER_UNITS.get(name, "1")
-    return plain(float(value), 6) + ("" if unit == "1" else f" {unit}")
+def _over(values: list[float | str], key: str) -> str:
+    """Numbers as a range with their unit, dates as one too, of other texts the first."""
+    numbers = [float(value) for value in values if not isinstance(value, str)]
+    if len(numbers) == len(values):
+        ends = dict.fromkeys(plain(end, 6 if end.is_integer() else 3) for end in (min(numbers), max(numbers)))
+        return f"{' to '.join(ends)} {_UNITS.get(key, '1').strip('1')}".strip()
+    texts = list(dict.fromkeys(str(value)[: _SHORT if key.endswith("hash") else None] for value in values))
+    return " to ".join(dict.fromkeys((min(texts), max(texts)))) if key == "date" else first_of(texts, 3)

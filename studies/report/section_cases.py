@@ -9,10 +9,9 @@ from typing import NamedTuple
 from ..measures.bars import reference_bar, where_reached
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..scene.result import ModelResult
 from ..study.registry import Family
 from ..verdict.digest import Digest, failed_steps
-from ..verdict.formatting import listed, parameter_name, percent, plural, swept_value
+from ..verdict.formatting import first_of, parameter_name, percent, plural, swept_value
 from ..verdict.verdict import Verdict, verdicts
 from ..verdict.words import TITLES
 from .blocks import Block, Cell, Field, Section, Text, frame_table
@@ -115,7 +114,7 @@ class Stopped(NamedTuple):
 
 
 def failures(digest: Digest) -> Section | None:
-    """Cases without a result, models that stopped short, and steps that need care, each with reason and remedy."""
+    """Cases without a result and models that stopped short, each with reason and remedy."""
     blocks: list[Block] = []
     failed = [
         Stopped(one["label"] or one["hash"][:8], one["code"], one["message"], one["remedy"])
@@ -124,7 +123,6 @@ def failures(digest: Digest) -> Section | None:
     for name, caption, first, rows in (
         ("failed", "Cases that failed", "Case", failed),
         ("stopped", "Models that stopped in a finished case", "Model and case", stopped_models(digest)),
-        ("reserved", "Results that their model warns about", "Model and case", _reservations(digest)),
     ):
         fields = [
             Field(first, lambda row: Cell(row.model, row.where)),
@@ -135,51 +133,26 @@ def failures(digest: Digest) -> Section | None:
             blocks.append(frame_table(rows, fields, name, caption=caption))
     if digest.run.missing:
         names = [label or "a case" for label in digest.run.missing]
-        shown = names if len(names) <= 8 else [*names[:7], f"{len(names) - 7} more"]
-        text = f"{plural(len(names), 'case')} not run yet: {listed(shown)}."
+        text = f"{plural(len(names), 'case')} not run yet: {first_of(names, 7)}."
         blocks.append(Text(f"{text} Run the study again to do what is missing."))
     return Section("failures", "What failed or is missing", blocks) if blocks else None
 
 
 def stopped_models(digest: Digest) -> list[Stopped]:
     """Of each model the first step that failed: once for each reason."""
-    return _steps(digest, lambda result: next(iter(failed_steps(result)), None), by_message=True)
-
-
-def _reservations(digest: Digest) -> list[Stopped]:
-    """Of each model the last step that can be used with a message: once for each remedy."""
-
-    def last(result: ModelResult) -> int | None:
-        return max(
-            (k for k, status in enumerate(result.status) if status.ok and status.message), default=None
-        )
-
-    return _steps(digest, last, by_message=False)
-
-
-def _steps(
-    digest: Digest, step_of: Callable[[ModelResult], int | None], *, by_message: bool
-) -> list[Stopped]:
-    """A row for each model and remedy, or message too, of the steps that are asked for, with its first place."""
-    found: dict[tuple[str, str, str], list[tuple[CaseResult, int]]] = {}
+    found: dict[tuple[str, str, str], list[str]] = {}
     for case in digest.cases:
         for model, result in case.models.items():
-            if (step := step_of(result)) is not None:
-                status = result.status[step]
-                message = (status.message or status.code) if by_message else ""
-                found.setdefault((model, message, status.remedy), []).append((case, step))
+            for step in failed_steps(result)[:1]:
+                status, factor = result.status[step], float(case.load_factors[step])
+                reason = (model, status.message or status.code, status.remedy)
+                found.setdefault(reason, []).append(f"{digest.case_name(case)}, load factor {factor:g}")
     return [
         Stopped(
             model,
-            _places(digest, places),
-            message or places[0][0].models[model].status[places[0][1]].message,
+            places[0] + (f", and in {plural(len(places) - 1, 'other case')}" if len(places) > 1 else ""),
+            message,
             remedy,
         )
         for (model, message, remedy), places in found.items()
     ]
-
-
-def _places(digest: Digest, places: list[tuple[CaseResult, int]]) -> str:
-    case, step = places[0]
-    where = f"{digest.case_name(case)}, load factor {float(case.load_factors[step]):g}"
-    return where + (f", and in {plural(len(places) - 1, 'other case')}" if len(places) > 1 else "")

@@ -22,6 +22,12 @@ from .blocks import Scene
 from .scene_picture import Outline, Part, Stage, scene_svg, style_of
 
 MOST_STRAIN = 0.1  # within a part, beyond which it is told
+_REPAIRED = {
+    "facets_flipped": "turned outward",
+    "facets_dropped": "without area or repeated left out",
+    "facets_of_other_pieces": "of other pieces left out",
+    "facets_added": "added to close holes",
+}
 _ALL_ROUND = (
     0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
 )
@@ -106,23 +112,18 @@ def _homogeneous(case: CaseResult) -> str:
 
 def _scan_words(cases: Sequence[CaseResult]) -> str:
     """How far the bodies are from the surface of the file that they are from, at worst; "" where there is none."""
-
-    def worst(key: str) -> float:
-        return max((case.mesh_quality.get(key, 0.0) for case in cases), key=abs)
-
     if not any("surface_distance_max" in case.mesh_quality and case.study.geometry.path for case in cases):
         return ""
-    moved, mean = (1e3 * worst(f"surface_distance_{which}") for which in ("max", "mean"))
-    told = [f"remeshing moved the surface by up to {plain(moved, 2)} mm ({plain(mean, 2)} mm in the mean)"]
-    told.append(f"and changed its volume by {short_percent(worst('volume_change'))}")
-    counted = {
-        "facets_flipped": "turned outward",
-        "facets_dropped": "without area or repeated left out",
-        "facets_of_other_pieces": "of other pieces left out",
-        "facets_added": "added to close holes",
+    worst = {
+        key: max((case.mesh_quality.get(key, 0.0) for case in cases), key=abs)
+        for key in ("surface_distance_max", "surface_distance_mean", "volume_change", *_REPAIRED)
     }
-    told += [f"{plural(int(n), 'facet')} {what}" for key, what in counted.items() if (n := worst(key))]
-    return ", ".join([" ".join(told[:2]), *told[2:]])
+    moved, mean = (plain(1e3 * worst[f"surface_distance_{which}"], 2) for which in ("max", "mean"))
+    told = (
+        f"remeshing moved the surface by up to {moved} mm ({mean} mm in the mean) and changed its volume by "
+    )
+    repaired = [f"{plural(int(n), 'facet')} {what}" for key, what in _REPAIRED.items() if (n := worst[key])]
+    return ", ".join([told + short_percent(worst["volume_change"]), *repaired])
 
 
 def _scanned_words(cases: Sequence[CaseResult]) -> str:
@@ -131,16 +132,9 @@ def _scanned_words(cases: Sequence[CaseResult]) -> str:
     for case in cases:
         for name, model in case.models.items():
             if REST_DISTANCE in model.scalars:
-                found.setdefault(name, []).append(1e3 * float(model.scalars[REST_DISTANCE][0]))
-    if not found:
-        return ""
-    told = [
-        f"{min(values):.2g} mm"
-        + (f" to {max(values):.2g} mm" if max(values) > min(values) else "")
-        + f" ({name})"
-        for name, values in found.items()
-    ]
-    return f"scanned under it, where its surface is up to {listed(told)} from its rest shape"
+                found.setdefault(name, []).append(float(model.scalars[REST_DISTANCE][0]))
+    told = [f"{span(values, 'm', 2)} ({name})" for name, values in found.items()]
+    return f"scanned under it, where its surface is up to {listed(told)} from its rest shape" if told else ""
 
 
 def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str, str]]:

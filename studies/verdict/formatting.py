@@ -136,6 +136,12 @@ def listed(items: Iterable[str]) -> str:
     return f"{', '.join(head)} and {last}" if head else last
 
 
+def first_of(names: Sequence[str], most: int) -> str:
+    """The first of many, with how many more there are."""
+    more = [f"{len(names) - most} more"] if len(names) > most else []
+    return listed([*names[:most], *more])
+
+
 def parameter_name(key: str) -> str:
     """A swept key as words: `tissue.poisson_ratio` is "Poisson ratio"."""
     parts = key.split(".")

@@ -406,23 +406,16 @@ def _what_tells(digest: Digest, states: States) -> str:
 
 
 def _doubts(digest: Digest) -> Iterator[Doubt]:
-    """What is doubtful about the scenes that were computed: each constraint's, of several cases the first."""
-    seen: set[object] = set()
-    for case in digest.cases:
-        factor = float(abs(case.load_factors).max())
-        constraints, tissue = case.study.constraints, case.study.tissue
-        # cases that differ in nothing that is looked at raise the same doubts
-        looked_at = (id(digest.surfaces[case.hash]), factor, repr(constraints), repr(tissue))
-        key = (*looked_at, *map(bytes, case.regions.values()))
-        if key in seen:
-            continue
-        seen.add(key)
-        for loc, text in scene_warnings(
-            constraints, tissue, case.regions, case.points, case.triangles, factor
-        ):
+    """What is doubtful about the scenes of the key cases: each constraint's, of several cases the first."""
+    seen = set()
+    for _, case in digest.key_cases:
+        study, factor = case.study, float(abs(case.load_factors).max())
+        about = study.constraints, study.tissue, case.regions, case.points, case.triangles, factor
+        for loc, text in scene_warnings(*about):
             if loc not in seen:
                 seen.add(loc)
-                name = constraints[int(loc[1])].name if loc[0] == "constraints" else ".".join(map(str, loc))
+                of_constraint = loc[0] == "constraints"
+                name = study.constraints[int(loc[1])].name if of_constraint else ".".join(map(str, loc))
                 yield Doubt(name, digest.case_name(case), text)
 
 

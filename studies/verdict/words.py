@@ -123,19 +123,13 @@ def _templates() -> Any:
         "measure": f.measure,
         "bar": f.with_bar,
         "listed": f.listed,
-        "first_of": _first_of,
+        "first_of": f.first_of,
         "count": f.plural,
         "capital": f.capital,
         "load": f.load_in_words,
         "loads": _loads,
     }
     return environment.get_template("words.txt").module
-
-
-def _first_of(names: Sequence[str], most: int) -> str:
-    """The first of many, with how many more there are."""
-    more = [f"{len(names) - most} more"] if len(names) > most else []
-    return f.listed([*names[:most], *more])
 
 
 def _loads(ends: Iterable[float], unit: str) -> str:

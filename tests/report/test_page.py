@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from solver_common.solution import Status
 from tests.report.runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
 from vdmbench.measures.case import Limit, ModelLimits, SmallStrainLimits
 from vdmbench.report import page as page_module
@@ -140,17 +139,6 @@ def test_a_model_that_stopped_is_listed_once_with_where_and_why() -> None:
     assert where in words(section(html, "failures")).replace("\u00a0", " ")
     assert words(section(html, "cases")).count("failed") == 6  # both errors of b, three cases
     assert "incomplete in 3 cases" in words(section(html, "headline")).replace("\u00a0", " ")
-
-
-def test_a_usable_step_with_a_message_is_listed_as_a_reservation() -> None:
-    noted = Status("converged", "the load steps move the answer by 2e-3", "take smaller load steps")
-    case = make_case({"a": 0.1, "b": 0.2}, subdivisions=0)
-    plain = case.models["b"]
-    doubtful = dataclasses.replace(plain, status=(noted, noted, *plain.status[2:]))
-    run = make_run([dataclasses.replace(case, models={**case.models, "b": doubtful})])
-    text = words(section(page_html(run, stills=False), "failures"))
-    assert "the load steps move the answer by 2e-3 take smaller load steps" in text
-    assert "stopped" not in text
 
 
 def test_measures_that_need_no_comparison_stand_beside_the_references_own() -> None:
