@@ -8,7 +8,6 @@ import io
 import urllib.parse
 import urllib.request
 import xml.etree.ElementTree
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,20 +15,12 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from tests.report.browser import Browser, chromium
+from tests.report.browser import Browser
 from tests.report.runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
 from vdmbench.measures.case import Run
 from vdmbench.report.page import page_html
 
-pytestmark = pytest.mark.skipif(chromium() is None, reason="chromium is not installed")
-
 VIEWER = "document.querySelector('.viewer')"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with Browser() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

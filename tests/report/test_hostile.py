@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from solver_common.solution import Status
-from tests.report.browser import Browser, chromium
+from tests.report.browser import Browser
 from tests.report.runs import make_case, make_run
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.report.headline import headline_metrics
@@ -110,28 +110,24 @@ def test_texts_stay_texts(page: Path) -> None:
     assert "{{ 7 * 7 }}" in text
 
 
-@pytest.mark.skipif(chromium() is None, reason="chromium is not installed")
-def test_no_script_of_theirs_runs(page: Path, tmp_path: Path) -> None:
-    with Browser() as browser:
-        for width in (1400, 400):
-            browser.open(page, width)
-            assert browser.evaluate("window.owned") is None
-            assert browser.evaluate("document.scripts.length") == 3
-            assert browser.evaluate("document.querySelectorAll('iframe, img').length") == 0
-            assert browser.complaints() == []
-            assert browser.requests() == []
-            assert browser.evaluate("document.documentElement.scrollWidth") <= width
-        options = "[...document.querySelectorAll('[data-control=case] option')]"
-        titles = browser.evaluate(f"{options}.map(o => o.textContent)")
-        assert any("<script>window.owned = 1</script>" in title for title in titles), "shown as it is written"
-        # and if one slipped through all the same, the page's policy stops it
-        slipped = tmp_path / "slipped.html"
-        slipped.write_bytes(
-            page.read_bytes().replace(b"</body>", b"<script>window.owned = 1</script></body>")
-        )
-        browser.open(slipped, 1000)
+def test_no_script_of_theirs_runs(browser: Browser, page: Path, tmp_path: Path) -> None:
+    for width in (1400, 400):
+        browser.open(page, width)
         assert browser.evaluate("window.owned") is None
-        assert any("Content Security Policy" in text for text in browser.complaints())
+        assert browser.evaluate("document.scripts.length") == 3
+        assert browser.evaluate("document.querySelectorAll('iframe, img').length") == 0
+        assert browser.complaints() == []
+        assert browser.requests() == []
+        assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    options = "[...document.querySelectorAll('[data-control=case] option')]"
+    titles = browser.evaluate(f"{options}.map(o => o.textContent)")
+    assert any("<script>window.owned = 1</script>" in title for title in titles), "shown as it is written"
+    # and if one slipped through all the same, the page's policy stops it
+    slipped = tmp_path / "slipped.html"
+    slipped.write_bytes(page.read_bytes().replace(b"</body>", b"<script>window.owned = 1</script></body>"))
+    browser.open(slipped, 1000)
+    assert browser.evaluate("window.owned") is None
+    assert any("Content Security Policy" in text for text in browser.complaints())
 
 
 def test_a_lone_surrogate_does_not_stop_the_writing(tmp_path: Path) -> None:

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from tests.report.browser import Browser, chromium
+from tests.report.browser import Browser
 from tests.report.runs import RADIUS, make_case, make_run
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.measurement import Measurement, Quantity
@@ -62,8 +61,7 @@ def test_a_leaner_view_has_the_points_of_the_steps_that_it_keeps() -> None:
     assert (only["name"], only["step"]) == ("top", 0), "full load is the only step kept"
 
 
-@pytest.mark.skipif(chromium() is None, reason="chromium is not installed")
-def test_points_are_drawn_told_and_can_be_hidden(tmp_path: Path) -> None:
+def test_points_are_drawn_told_and_can_be_hidden(browser: Browser, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text(page_html(make_run([measured_case()]), stills=False))
     tick = "document.querySelector('[data-control=measured]')"
@@ -76,15 +74,14 @@ def test_points_are_drawn_told_and_can_be_hidden(tmp_path: Path) -> None:
         image = np.asarray(Image.open(io.BytesIO(browser.picture(clip=clip))).convert("RGB")).astype(int)
         return int((np.abs(image - [0xD6, 0x2F, 0x7F]).max(axis=2) < 12).sum())
 
-    with Browser() as browser:
-        browser.open(path, 1300)
-        # the model has the pole 2.8 mm below, and there 10 mm above was measured
-        assert "1 measured point, up to 12." in browser.evaluate(told)
-        assert marked(browser) > 10
-        browser.evaluate(f"{tick}.click()")
-        assert marked(browser) == 0
-        assert browser.complaints() == []
-        path.write_text(page_html(make_run([make_case({"vdm-paper": 0.4})]), stills=False))
-        browser.open(path, 1300)
-        assert browser.evaluate(f"{tick}.closest('label').hidden") is True
-        assert "measured" not in browser.evaluate(told)
+    browser.open(path, 1300)
+    # the model has the pole 2.8 mm below, and there 10 mm above was measured
+    assert "1 measured point, up to 12." in browser.evaluate(told)
+    assert marked(browser) > 10
+    browser.evaluate(f"{tick}.click()")
+    assert marked(browser) == 0
+    assert browser.complaints() == []
+    path.write_text(page_html(make_run([make_case({"vdm-paper": 0.4})]), stills=False))
+    browser.open(path, 1300)
+    assert browser.evaluate(f"{tick}.closest('label').hidden") is True
+    assert "measured" not in browser.evaluate(told)
