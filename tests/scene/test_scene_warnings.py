@@ -81,6 +81,7 @@ def test_lone_nodes_besides_an_area_are_told_and_those_at_its_rim_are_not(kind: 
 
 def test_a_ball_through_a_thin_body_presses_both_its_faces() -> None:
     assert not found("contact", TOP & (NEAR < 0.03), force=0.01)
+    assert "touches one node" in found("contact", np.arange(len(POINTS)) == np.argmin(NEAR), pressure=1.0)[0]
     upper, lower = TOP & (NEAR < 0.03), ~TOP & (NEAR < 0.02)
     [told] = found("contact", upper | lower, force=0.01)
     above, below = (mask[TRIANGLES].all(axis=1).sum() for mask in (upper, lower))
