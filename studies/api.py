@@ -144,21 +144,18 @@ def run(
     """
     from .report.rebuild import rebuild
     from .study.config import expand, load_study
-    from .study.files import overridden, study_path
+    from .study.files import study_path
     from .work.plan import make_plan
     from .work.run import Options, run_plan
 
-    path = study_path(study)
     body = Path(surface) if surface is not None else None
-    found = load_study(path, surface=body, changes=[overrides])
+    found = load_study(study_path(study), surface=body, changes=[overrides])
     directory = Path(out) if out is not None else results_directory() / "runs" / found.study.name
     place = Path(cache) if cache is not None else cache_directory()
     plan = make_plan(found, expand(found), directory, place, fresh=fresh)
     how = Options(jobs=jobs or usable_processors())
     with _script_left_alone():
-        text = path.read_text(encoding="utf-8-sig")
-        kept = overridden(text, overrides) if overrides else text
-        data, report = run_plan(plan, kept, how, watch, rebuild)
+        data, report = run_plan(plan, found.text, how, watch, rebuild)
     return Results(directory, data, report)
 
 

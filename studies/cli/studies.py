@@ -18,25 +18,13 @@ if TYPE_CHECKING:
     from ..work.plan import Plan, PlannedCase
 
 
-def load(options: argparse.Namespace) -> tuple[Study, Path]:
-    """The study, and its file."""
+def load(options: argparse.Namespace) -> Study:
+    """The study that a command line names, with its changes."""
     from ..study.config import load_study
     from ..study.files import changes_of, study_path
 
-    path = study_path(options.study)
     changes = [changes_of(change) for change in vars(options).get("changes", [])]
-    study = load_study(path, surface=options.surface, changes=changes)
-    return study, path
-
-
-def study_text(options: argparse.Namespace) -> str:
-    """The text of the study's file, with what --set changes."""
-    from ..study.files import changes_of, overridden, study_path
-
-    text = study_path(options.study).read_text(encoding="utf-8-sig")
-    for change in vars(options).get("changes", []):
-        text = overridden(text, changes_of(change))
-    return text
+    return load_study(study_path(options.study), surface=options.surface, changes=changes)
 
 
 def baseline_of(options: argparse.Namespace, study: str) -> Path:
@@ -121,12 +109,11 @@ def check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
             raise geometry_error(plan.study, error) from error
 
 
-def run_missing(plan: Plan, text: str, options: argparse.Namespace, **how: Any) -> tuple[Run, Path]:
+def run_missing(plan: Plan, options: argparse.Namespace, **how: Any) -> tuple[Run, Path]:
     """Run what is missing of a plan and show how far it is: the run and its report.
 
     Parameters
     ----------
-    text : of the study's file
     how : further `vdmbench.work.run.Options`
     """
     from ..report.rebuild import rebuild
@@ -134,7 +121,7 @@ def run_missing(plan: Plan, text: str, options: argparse.Namespace, **how: Any) 
 
     with Progress(plan.study.study.name, quiet=options.json) as progress:
         chosen = Options(jobs=options.jobs or usable_processors(), **how)
-        return run_plan(plan, text, chosen, progress.show, rebuild)
+        return run_plan(plan, plan.study.text, chosen, progress.show, rebuild)
 
 
 def only_case(plan: Plan, why: str) -> PlannedCase:

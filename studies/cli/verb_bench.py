@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
     from ..models import benched_names
 
     studies = {
-        body: load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))[0]
+        body: load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))
         for body, (name, surface) in bodies_to_measure(options.study, options.surface).items()
     }
     if options.study:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .arguments import RUNS, STUDY_READS, flag, option, study_argument
@@ -41,8 +40,7 @@ def run(options: argparse.Namespace) -> int:
     from ..machine import json_text, write_atomically
     from ..study.errors import StudyError
 
-    study, path = load(options)
-    plan = make_plan(study, options)
+    plan = make_plan(load(options), options)
     if options.measured:
         return _fit_measured(plan, options)
     require_own(plan, options)
@@ -50,11 +48,10 @@ def run(options: argparse.Namespace) -> int:
     elsewhere = []  # read, and found to be of use, before anything is run
     for name in options.transfer:
         there = argparse.Namespace(**vars(options) | {"study": name, "surface": None, "out": None})
-        other, other_path = load(there)
-        elsewhere.append((make_plan(other, there), other_path))
-        check(elsewhere[-1][0])
+        elsewhere.append(make_plan(load(there), there))
+        check(elsewhere[-1])
     out = plan.directory
-    run, refined = _run_for_fit(plan, path, options), None
+    run, refined = _run_for_fit(plan, options), None
     finer = finer_study(plan)
     if finer is not None:
         again = command_of("calibrate", options)
@@ -63,9 +60,9 @@ def run(options: argparse.Namespace) -> int:
         except StudyError as error:  # such as too many nodes
             tell(f"no finer mesh: {error.problems[0].message}")
         else:
-            refined = _run_for_fit(planned, path, options)
+            refined = _run_for_fit(planned, options)
     own = body(*run, refined)
-    others = [body(*_run_for_fit(*other, options)) for other in elsewhere]
+    others = [body(*_run_for_fit(other, options)) for other in elsewhere]
     entries = calibrate(own, others)
     data = {own.name: as_json(entries)}
     write_atomically(out / "calibration.json", json_text(data, indent=1).encode())
@@ -119,8 +116,8 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
     return OK
 
 
-def _run_for_fit(plan: Plan, path: Path, options: argparse.Namespace) -> tuple[Plan, Run]:
+def _run_for_fit(plan: Plan, options: argparse.Namespace) -> tuple[Plan, Run]:
     """Run what is missing of a study that parameters are fitted on, and say what failed."""
-    run, _ = run_missing(plan, path.read_text(), options)
+    run, _ = run_missing(plan, options)
     complain_of_failures(run)
     return plan, run

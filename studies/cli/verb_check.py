@@ -20,23 +20,22 @@ ARGUMENTS = (study_argument(), *STUDY_READS, CHANGES)
 
 def run(options: argparse.Namespace) -> int:
     """Print whether a study is right, or every mistake in it."""
-    from ..study.config import resolved
     from ..study.errors import StudyError
     from ..work.explain import beyond_memory, blockers, refused
     from ..work.scene_check import scene_problems
     from ..work.tasks import bodies
 
     try:
-        study, path = load(options)
+        study = load(options)
         plan = make_plan(study, options)
         check_files(plan, plan.cases)
         work = bodies(plan, plan.cases)
         if stops := blockers(plan, plan.cases, work):
-            raise study._source.error(stops, resolved(study))
+            raise study.error(stops)
         expected = refused(plan, plan.cases, work)
         doubts = scene_problems(plan)
         tight = [(("geometry", "mesh_size"), text) for text in beyond_memory(plan, work, 1.0).values()]
-        doubts += study._source.error(tight, resolved(study)).problems
+        doubts += study.error(tight).problems
     except StudyError as error:
         if options.json:
             problems = [problem._asdict() for problem in error.problems]
@@ -48,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         return print_json(
             {"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected, "warnings": told}
         )
-    print(f"{path}: ok, {plural(len(plan.cases), 'case')}")
+    print(f"{study._source.path}: ok, {plural(len(plan.cases), 'case')}")
     for problem in doubts:
         print(f"warning: {problem}")
     for line in expected:

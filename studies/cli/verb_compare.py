@@ -178,15 +178,14 @@ def _judge(options: argparse.Namespace) -> int:
         safe_name(name)
     except ValueError as error:
         raise UsageError(f"--name: {error}") from None
-    study, path = load(options)
-    plan = make_plan(study, options)
+    plan = make_plan(load(options), options)
     require_own(plan, options)
     case = only_case(plan, "--result judges")
     if name in plan.study.study.models:
         raise UsageError(f"--name: {name} is a model of the study; give the program another name")
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
     foreign = read_foreign(options.result, mesh, options.array)
-    found, _ = run_missing(plan, path.read_text(), options)
+    found, _ = run_missing(plan, options)
     if not found.cases:
         complain_of_failures(found)
         return FAILED

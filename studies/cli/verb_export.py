@@ -67,7 +67,7 @@ def _export_scene(options: argparse.Namespace, out: Path) -> int:
     from ..scene.export import Handout, write_scene
     from ..scene.scene import build_scene
 
-    study, _ = load(options)
+    study = load(options)
     plan = make_plan(study, options)
     case = numbered_case(plan, options.case)
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)

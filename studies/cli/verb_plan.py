@@ -18,7 +18,7 @@ def run(options: argparse.Namespace) -> int:
     """Print what a run would do."""
     from ..work.explain import summary
 
-    study, _ = load(options)
+    study = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
     check_files(plan, plan.cases_to_run())

@@ -7,7 +7,7 @@ import argparse
 from ..study.errors import plural
 from .arguments import PLANS, flag, option, positive_seconds, shard, size_in_bytes
 from .output import FAILED, complain, print_run
-from .studies import load, make_plan, require_own, run_missing, study_text
+from .studies import load, make_plan, require_own, run_missing
 
 SUMMARY = "run what is missing and write the report"
 GOES_ON = True
@@ -41,12 +41,12 @@ def run(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
     from ..work.run import lost_cases
 
-    study, _ = load(options)
+    study = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
     names = ("shard", "timeout", "memory", "fail_fast", "scheduler", "insecure_scheduler")
     how = {name: getattr(options, name) for name in names}
-    run, report = run_missing(plan, study_text(options), options, **how)
+    run, report = run_missing(plan, options, **how)
     code = print_run(run, plan.directory, report, options.json)
     stopped = options.fail_fast and run.failed  # before it came to all
     if lost := [] if stopped else lost_cases(plan, options.shard, run):

@@ -35,7 +35,7 @@ def run(options: argparse.Namespace) -> int:
     from ..report.scene_picture import Stage, scene_png
     from ..report.section_scene import outlines_of, parts_of, scene_words
 
-    study, _ = load(options)
+    study = load(options)
     plan = make_plan(study, options)
     case = _unsolved(plan, numbered_case(plan, options.case))
     words = scene_words(case, [case])

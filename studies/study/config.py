@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from .checks import check_measured_cases, holds_nothing, validate
 from .errors import Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown
 from .fields import targets, value_at
@@ -63,6 +65,8 @@ def load_study(
     data, source = _parse(_read_text(path), str(path))
     for change in changes:
         data = merged(data, change)
+    if any(changes):
+        source = replace(source, text=tomli_w.dumps(data))
     source = replace(source, directory=path.parent.resolve())
     if surface is not None:
         data["geometry"] = _surface_geometry(data.get("geometry"), surface)
@@ -258,7 +262,7 @@ def _parse(text: str, path: str) -> tuple[dict[str, Any], Source]:
     except NotToml:
         pass  # tomllib says it better
     try:
-        return tomllib.loads(text), Source(path, lines)
+        return tomllib.loads(text), Source(path, lines, text)
     except tomllib.TOMLDecodeError as error:
         message = re.sub(r" \(at .*\)$", "", str(error))
         raise wrong(f"TOML syntax: {message[:1].lower()}{message[1:]}", _line_of(error, text)) from None

@@ -83,6 +83,7 @@ class Source:
 
     path: str = field(default="study", compare=False)
     lines: Mapping[Loc, int] = field(default_factory=dict, compare=False)
+    text: str = field(default="", compare=False)  # of the file, changes made
     directory: Path | None = field(default=None, compare=False)
 
     def line(self, loc: Loc) -> int:

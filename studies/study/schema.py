@@ -7,7 +7,7 @@ in `checks`; reading a file is in `config`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Literal
@@ -26,7 +26,7 @@ from pydantic import (
     create_model,
 )
 
-from .errors import Source
+from .errors import Finding, Source, StudyError
 from .kinds import (
     SI,
     Axis,
@@ -559,6 +559,15 @@ class Study(Table):
     def __eq__(self, other: object) -> bool:
         """Whether the keys are equal; where a study came from is no part of it."""
         return isinstance(other, Study) and self.__dict__ == other.__dict__
+
+    @property
+    def text(self) -> str:
+        """Of its file, with the changes made to it; "" of one that is from no file."""
+        return self._source.text
+
+    def error(self, findings: Sequence[Finding]) -> StudyError:
+        """The error for what is wrong with it, at the places in its file."""
+        return self._source.error(findings, self.model_dump())
 
     def model_copy(self, **options: Any) -> Study:
         """A copy with changes, whose cases are its own."""

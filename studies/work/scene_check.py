@@ -13,7 +13,7 @@ from ..body.mesh_cache import mesh_path, read_mesh, write_mesh
 from ..scene.measured_points import place_measured
 from ..scene.scene import Scene, SceneError, build_scene
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED, scene_warnings
-from ..study.config import geometry_error, resolved
+from ..study.config import geometry_error
 from ..study.errors import Finding, Loc, MeshError, Problem
 from ..study.registry import FINITE_STRAIN, split
 from ..study.shapes import geometry_key
@@ -48,7 +48,7 @@ def scene_problems(plan: Plan) -> list[Problem]:
             for other in _other_scenes(case):
                 _scene(plan, other, mesh)
     doubts |= dict(_too_far(loaded))
-    return plan.study._source.error(list(doubts.items()), resolved(plan.study)).problems
+    return plan.study.error(list(doubts.items())).problems
 
 
 def _other_scenes(case: PlannedCase) -> list[PlannedCase]:
@@ -138,7 +138,7 @@ def _scene(plan: Plan, case: PlannedCase, mesh: Mesh, *, checked: bool = True) -
     except (SceneError, MeshError) as error:
         place: Loc = error.place if isinstance(error, SceneError) else ("constraints",)
         finding = (place, _in_case(str(error), case))
-        raise plan.study._source.error([finding], resolved(plan.study)) from error
+        raise plan.study.error([finding]) from error
 
 
 def _in_case(text: str, case: PlannedCase) -> str:

@@ -112,7 +112,7 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str, int, str]] = {
         lambda d: (d / RUN / "study.toml").unlink(), f"report {RUN}", 5, "study.toml: not readable",
     ),
     "damaged failure": (
-        _failure_cut, f"report {RUN}", 5, "damaged ('hash': Field required); delete it and run again",
+        _failure_cut, f"report {RUN}", 5, "damaged ('hash' is not there); delete it and run again",
     ),
     "no baseline": (
         lambda _: None, f"gate {RUN}", 6, "no such baseline; make one with: vdmbench accept",

@@ -117,7 +117,7 @@ def test_ranges_hit_their_ends_and_round_numbers(tmp_path: Path) -> None:
 
 
 STAR = (
-    'mode = "one-at-a-time"\n"constraints.finger.pressure" = ["0.1 kPa", "0.2 kPa", 800]\n'
+    'mode = "one-at-a-time"\n"constraints.finger.pressure" = ["0.1 kPa", "0.2 kPa", 200.01]\n'
     '"vdm.penalty" = [1e2, 1e4]\n"models.vdm-paper.penalty" = [1e6, 1e8]\n'
 )
 LATIN = (
@@ -202,14 +202,14 @@ def test_one_at_a_time_is_a_base_and_each_axis_alone(tmp_path: Path) -> None:
     assert [(case.label, case.swept) for case in cases] == [
         ("base", base),
         ("pressure = 100 Pa", {**base, pressure: 100.0}),
-        ("pressure = 800 Pa", {**base, pressure: 800.0}),
+        ("pressure = 200.01 Pa", {**base, pressure: 200.01}),
         ("vdm.penalty = 100", {**base, "vdm.penalty": 100.0}),
         ("vdm.penalty = 10000", {**base, "vdm.penalty": 10000.0}),
         ("models.vdm-paper.penalty = 1e+08", {**base, penalty: 1e8}),
     ]
     assert [case.study.vdm.penalty for case in cases] == [None, None, None, 100.0, 10000.0, None]
     assert [case.study.models["vdm-paper"].penalty for case in cases] == [1e6] * 5 + [1e8]
-    assert [case.study.constraints[1].pressure for case in cases] == [200, 100, 800, 200, 200, 200]
+    assert [case.study.constraints[1].pressure for case in cases] == [200, 100, 200.01, 200, 200, 200]
     assert cases[0].swept_units[pressure] == "Pa"
 
 
