@@ -75,20 +75,6 @@ def test_check_puts_each_place_of_a_region_on_the_mesh(tmp_path: Path) -> None:
     assert "(in the case regions.finger.cap.angle = 0.00174533)" in line
 
 
-def test_a_missing_wheel_is_one_line_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    from vdmbench.study import sweep as module
-
-    def lost(_: str) -> Any:
-        raise ImportError("no SALib")
-
-    monkeypatch.setattr(module, "import_module", lost)
-    found, findings = variations(study_of({"method": "sobol", E: {"sd": 300.0}}))
-    assert found == []
-    ((loc, text),) = findings
-    assert loc == ("inputs", "method")
-    assert "pip install --constraint constraints.txt --editable '.[sensitivity]'" in text
-
-
 # --- what is computed ---
 
 
@@ -119,11 +105,6 @@ def test_sensitivities_by_hand(tmp_path: Path, cache: Path) -> None:
     assert_allclose(found.models["vdm-vector"].bend, 0.010101 / np.linalg.norm(expected[[0, 2]]), rtol=1e-4)
 
 
-def test_inputs_add_their_variations_to_a_study_that_has_run(tmp_path: Path, cache: Path) -> None:
-    run(plan_of(tmp_path / "plain", cache, tables=ONE_LOAD))
-    assert planned_work(plan(tmp_path, cache)) == {"set-ups": 1, "solves": 1}
-
-
 def test_the_refined_reference_has_the_spread_of_its_own_mesh(tmp_path: Path, cache: Path) -> None:
     inputs = {FORCE: {"sd": 0.002}}
     (case,) = run(plan(tmp_path, cache, inputs, uncertainty={"levels": 2}, load={"factors": [0.5, 1.0]}))
@@ -152,13 +133,6 @@ def test_a_model_that_says_so_goes_with_one_over_the_modulus(tmp_path: Path, cac
     soft, hard = (models.run_model(s, name).displacement for s in (scene, stiff))
     assert np.abs(soft).max() > 0
     assert_allclose(hard, soft / 2, rtol=0, atol=1e-6 * np.abs(soft).max())
-
-
-def test_a_new_table_of_a_study_is_thought_of() -> None:
-    """What is not listed here may have a stiffness of its own: see `goes_with_modulus` before adding it."""
-    thought_of = {"geometry", "regions", "load", "sweep", "inputs", "limits", "calibration", "uncertainty"}
-    thought_of |= {"study", "tissue", "vdm", "models", "constraints", "gravity", "environment", "anisotropy"}
-    assert set(Study.model_fields) == thought_of | {"acceptance", "measured", "inclusions"}
 
 
 @pytest.mark.parametrize(("homogeneous", "set_ups"), [([], 3), (["fem-p1"], 1)])
@@ -253,15 +227,6 @@ def of_product(study: Study, surface: Surface) -> InputSpread:
         for v in variations(study)[0]
     ]
     return input_spread(study, surface, {"m": u0}, lambda _: fields)
-
-
-def test_what_solvers_leave_open_does_not_bend() -> None:
-    surface, study = unit_sphere(), study_of({E: {"sd": 250.0}})
-    u0 = surface.points * [0.0, 0.0, 1.0]
-    noise = 1e-9 * np.random.default_rng(5).normal(size=(2, *u0.shape))
-    found = input_spread(study, surface, {"m": u0}, lambda _: list(u0 + noise)).models["m"]
-    assert found.displacement < 1e-8
-    assert found.bend == 0.0
 
 
 @pytest.mark.skipif(not HAS_SALIB, reason="SALib is not installed")

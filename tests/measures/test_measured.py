@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,7 @@ from vdmbench.measures.measurement import MOST, RMS, hold_against, step_rms
 from vdmbench.measures.pushed import Answer
 from vdmbench.scene.measured_points import place_measured
 from vdmbench.scene.scene import SceneError
-from vdmbench.study.config import Study, StudyError, expand, load_study, resolved
-from vdmbench.study.measured import MeasuredFileError, read_measured
+from vdmbench.study.config import Study, StudyError, expand, load_study
 
 STUDY = """\
 [study]
@@ -70,13 +68,6 @@ def test_a_table_is_read_in_its_units(tmp_path: Path) -> None:
     assert (top.uncertainty, side.uncertainty) == (1e-4, 2e-4)
     assert top.others["COMSOL"].components() == {2: -0.0021}
     assert side.others == {}
-
-
-def test_the_resolved_study_carries_the_values_and_no_file(tmp_path: Path) -> None:
-    study = load(tmp_path, GOOD)
-    (tmp_path / "tips.csv").unlink()
-    assert Study.model_validate(resolved(study)).measured == study.measured
-    assert expand(study)[0].study.measured == study.measured
 
 
 def test_a_table_names_the_swept_case_that_it_belongs_to(tmp_path: Path) -> None:
@@ -174,9 +165,3 @@ def test_a_measured_surface_is_as_far_as_it_is(tmp_path: Path) -> None:
         assert_allclose(found.simulated["m"], outward, rtol=1e-6, atol=1e-15)
         assert found.within("m").all() == (outward == 0.0)
         assert np.isnan(found.simulated["lost"]).all()
-
-
-def test_a_fifo_is_no_table_and_is_not_waited_for(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "points.csv")
-    with pytest.raises(MeasuredFileError, match=r"points\.csv cannot be read: no such file"):
-        read_measured(tmp_path / "points.csv")

@@ -13,7 +13,6 @@ from numpy.testing import assert_allclose
 from tests.report.runs import make_case, make_run
 from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, run
 from vdmbench.body.surface_measures import Surface
-from vdmbench.calibrate import training
 from vdmbench.measures.input_spread import Propagation
 from vdmbench.measures.measurement import FORCE, Measurement, Quantity, hold_against
 from vdmbench.measures.pushed import Answer
@@ -163,7 +162,3 @@ def test_the_verdict_has_each_model_against_its_forces() -> None:
     own, paper = verdicts(Digest(make_run([case]))).measured
     assert (own.model, own.within, own.values) == ("fem-linear", 1, 1)
     assert (paper.model, paper.within, paper.values) == ("vdm-paper", 1, 2)
-
-
-def test_the_first_depth_trains_a_fit() -> None:
-    assert training(curve_found()).tolist() == [True, False]

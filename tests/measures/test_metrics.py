@@ -96,13 +96,6 @@ def test_contact_work_by_hand(surface: Surface, field: np.ndarray) -> None:
     assert "contact_work" not in metrics.evaluate(Surface(surface.points, surface.triangles), model, None)
 
 
-def test_volume_does_not_depend_on_the_origin(surface: Surface) -> None:
-    third = surface.points / 3  # no coordinate is a number of few digits, whose products would be exact
-    far = third + np.array([1e5, -3e4, 2e5])
-    # 1e5 m away a coordinate has 1.5e-11 m of round-off; the volume's error is of that order times the area
-    assert_allclose(surface_measures.enclosed_volume(far, surface.triangles), 4 / 81, rtol=1e-9, atol=0)
-
-
 def test_equal_fields_have_no_error(surface: Surface, field: np.ndarray) -> None:
     same = history(field)
     pushed = dataclasses.replace(surface, contact_force=np.where(surface.contact[:, None], field, 0.0))
@@ -215,24 +208,6 @@ def test_sliding_is_blind_to_shape_and_inflation_is_not(surface: Surface) -> Non
     turned = np.column_stack([-surface.points[:, 1], surface.points[:, 0], surface.points[:, 2]])
     slid = evaluate(surface, history(turned - surface.points), still)
     assert_allclose(slid["hausdorff_distance"], 0.0, atol=1e-14, rtol=0)
-
-
-def test_nearest_point_is_exact_against_dense_sampling() -> None:
-    rng = np.random.default_rng(3)
-    points, triangles = octahedron()
-    points = points * [1.0, 0.2, 0.05]  # long thin facets, whose centroids are a poor guide
-    queries = rng.normal(size=(50, 3))
-    distance, facet, weights = nearest_on_surface(queries, points, triangles)
-    nearest = np.einsum("qk,qki->qi", weights, points[triangles[facet]])
-    assert_allclose(np.linalg.norm(nearest - queries, axis=1), distance, **ROUND)
-    assert (weights >= -1e-12).all()
-    assert_allclose(weights.sum(axis=1), 1.0, **ROUND)
-    # random points of the surface: never nearer, and the best of them close
-    samples = rng.dirichlet([1, 1, 1], size=4000)
-    cloud = np.einsum("sk,fki->fsi", samples, points[triangles]).reshape(-1, 3)
-    sampled = np.linalg.norm(cloud[None] - queries[:, None], axis=2).min(axis=1)
-    assert (sampled >= distance - 1e-12).all()
-    assert_allclose(sampled, distance, rtol=0.05, atol=0.02)
 
 
 def test_volume_drift_of_a_uniform_scaling(surface: Surface) -> None:
@@ -351,13 +326,6 @@ def test_a_failed_step_is_not_a_number_and_spoils_no_other(surface: Surface, fie
     assert np.isnan(values["volume_drift"][0])
 
 
-def test_metrics_of_contact_need_contact(field: np.ndarray) -> None:
-    points, triangles = octahedron()
-    untouched = Surface(points, triangles, contact=np.zeros(6, dtype=bool))
-    assert "contact_region_error" not in evaluate(untouched, history(field), history(field))
-    assert "indentation_force_error" not in evaluate(untouched, history(field), history(field))
-
-
 def test_mean_strain_is_that_of_the_body(surface: Surface) -> None:
     """Of a linear field the gradient itself; one node moved gives g_i u_i / V."""
     gradient = np.array([[0.02, 0.3, -0.1], [0.5, -0.01, 0.2], [-0.4, 0.1, 0.07]])
@@ -396,15 +364,6 @@ def test_metrics_grow_with_their_degree(share: float) -> None:
                 )
                 seen.add(name)
     assert seen == {name for name, metric in METRICS.items() if metric.degree is not None}
-
-
-def test_distances_are_taken_at_full_load_only(surface: Surface) -> None:
-    steps = np.array([0.02, 0.1, 0.05])[:, None, None] * surface.points
-    grown = History(steps, np.zeros_like(steps), np.array([0.2, 1.0, 0.5]))
-    still = History(np.zeros_like(steps), np.zeros_like(steps), grown.load_factors)
-    values = evaluate(surface, grown, still)
-    for name in ("hausdorff_distance", "mean_surface_distance"):
-        assert_allclose(values[name], [np.nan, 0.1, np.nan], **ROUND)
 
 
 def bumpy(seed: int) -> tuple[Surface, list[History]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,9 +19,8 @@ from vdmbench.measures.case import SmallStrainLimits
 from vdmbench.measures.limits import LoadPath, LoadPoint
 from vdmbench.measures.reference import level_scene
 from vdmbench.models.elements import fem_loads
-from vdmbench.scene.result import ModelResult
-from vdmbench.scene.scene import Scene, SurfaceLoad, build_scene
-from vdmbench.study.config import expand, load_study, raised, start_of
+from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.study.config import expand, load_study, raised
 from vdmbench.study.errors import StudyError
 from vdmbench.study.schema import Study
 from vdmbench.work import small_strain
@@ -63,31 +61,14 @@ levels = 2
 Found = tuple[Study, Scene, SmallStrainLimits]
 
 
-Runs = list[tuple[int, str, ModelResult]]  # tetrahedra, model, what it gave
-
-
 @pytest.fixture(scope="module")
-def runs() -> Runs:
-    """Of every model in the search."""
-    return []
-
-
-@pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory, runs: Runs) -> Found:
+def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
     directory = tmp_path_factory.mktemp("limits")
     path: Path = directory / "study.toml"
     path.write_text(STUDY)
     study = load_study(path)
     scene = build_scene(study, mesh_from_cache(study.geometry, directory / "cache", volume=True))
-    answer = models.Prepared.answer
-
-    def watched(self: models.Prepared, loads: Sequence[SurfaceLoad]) -> ModelResult:
-        runs.append((len(self._scene.mesh.tetrahedra), self.model.name, answer(self, loads)))
-        return runs[-1][-1]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(models.Prepared, "answer", watched)
-        return study, scene, small_strain_limits(study, scene.mesh)
+    return study, scene, small_strain_limits(study, scene.mesh)
 
 
 def grown(
@@ -182,31 +163,6 @@ def test_the_short_way_to_each_load_gives_the_limits_of_the_long_one(
         assert [limit.state for limit in got.limits] == [limit.state for limit in wanted.limits]
 
 
-def test_a_search_tries_a_model_only_where_its_limit_may_be(found: Found, runs: Runs) -> None:
-    """And goes on from load to load on one set-up of the reference for each mesh."""
-    study, *_ = found
-    own, refined = (
-        {name: [r for n, other, r in runs if (n, other) == (size, name)] for name in study.study.models}
-        for size in sorted({n for n, _, _ in runs})
-    )
-    assert len(own["fem-linear"]) < len(own["fem"])
-    assert len(refined["fem"]) == 5  # a small load, and one for each limit
-    assert len(refined["fem-linear"]) == 3  # of its own
-    for results in (own["fem"], refined["fem"]):  # from rest each would make a factor
-        assert sum(float(result.parameters["factorisations"]) for result in results) < 0.5 * len(results)
-
-
-def test_linear_elements_have_no_structural_error_and_a_surface_model_has(found: Found) -> None:
-    _, _, limits = found
-    assert limits.models["fem-linear"].structural_error < 1e-3  # what is left is the small load's own square
-    assert limits.models["bem"].structural_error > 0.01
-    small, large = limits.models["fem-linear"].limits
-    assert small.state == large.state == "found"
-    assert small.load < large.load
-    assert small.indentation < large.indentation
-    assert small.strain < large.strain
-
-
 SIDE = """
 [regions.side]
 all = [{ above = { axis = "x", value = "30 mm" } }, { above = { axis = "z", value = "0 mm" } }]
@@ -268,37 +224,6 @@ def test_a_load_that_stays_as_it_is_is_refused(tmp_path: Path, more: str, other:
     (problem,) = refused.value.problems
     assert problem.key == "limits.along"
     assert problem.message == f'"{other}" is a load too, which would not rise; along = "load" raises all'
-
-
-def test_a_single_load_has_the_limits_of_all_loads_together(tmp_path: Path) -> None:
-    _, _, one = limits_along(tmp_path, "constraints.tool.pressure")
-    _, _, all_loads = limits_along(tmp_path, "load")
-    for name, entry in one.models.items():
-        assert_allclose(
-            all_loads.models[name].structural_error, entry.structural_error, rtol=1e-9, atol=1e-12
-        )
-        for got, wanted in zip(all_loads.models[name].limits, entry.limits, strict=True):
-            assert got.state == wanted.state == "found"
-            assert_allclose(got.load * 300.0, wanted.load, rtol=1e-9, atol=0)
-            assert_allclose(
-                [got.indentation, got.strain], [wanted.indentation, wanted.strain], rtol=1e-7, atol=0
-            )
-
-
-def test_the_reference_gives_the_limits_their_bars(found: Found) -> None:
-    _, _, limits = found
-    for limit in limits.models["fem-linear"].limits:
-        assert 0 < limit.bar < 1
-        assert limit.bar < limit.indentation_bar < 1
-        assert limit.bar < limit.strain_bar < 1  # that of the load is counted in
-
-
-def test_a_raised_study_has_one_load_step_at_the_new_value(found: Found) -> None:
-    study, _, _ = found
-    higher = raised(study, "constraints.tool.pressure", 777.0)
-    assert start_of(higher, "constraints.tool.pressure") == (777.0, "Pa")
-    assert higher.load.factors == (1.0,)
-    assert start_of(study, "constraints.tool.pressure") == (300.0, "Pa")
 
 
 @pytest.mark.slow

@@ -82,11 +82,6 @@ def test_uneven_levels_that_do_not_shrink_diverge(growth: float) -> None:
     assert estimate_error([0.01, 0.01 * (3.0 + growth)], [1.2, 1.7]).behaviour == "converging"
 
 
-def test_identical_levels_have_no_error() -> None:
-    estimate = estimate_error([0.0, 0.0])
-    assert (estimate.error, estimate.gci, estimate.behaviour) == (0.0, 0.0, "converging")
-
-
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
 def test_the_bar_holds_a_sequence_with_a_second_term(order: float) -> None:
     """f = h^p + c h^(p+1), the second up to a quarter of the first: the GCI covers the true error."""

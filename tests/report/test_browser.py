@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from tests.report.browser import Browser
-from tests.report.runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
+from tests.report.runs import REFERENCE, make_case, make_run, sweep_run
 from vdmbench.measures.case import Run
 from vdmbench.report.page import page_html
 
@@ -102,28 +102,6 @@ def test_opens_without_complaint_and_fits(browser: Browser, page: Path, width: i
     assert ink == colours[0], "figures take the colour of the page's text"
 
 
-def test_a_table_wider_than_the_page_says_that_it_scrolls(browser: Browser, page: Path) -> None:
-    hint = "document.querySelector('#headline .wide').hidden"
-    wider = "(s => s.scrollWidth > s.clientWidth + 1)(document.querySelector('#headline .scroll'))"
-    for width in (400, 1400):
-        browser.open(page, width)
-        browser.settle()
-        assert browser.evaluate(wider) == (width == 400)
-        assert browser.evaluate(hint) == (width != 400)
-
-
-def test_three_hundred_cases_fit_a_phone(browser: Browser, tmp_path: Path) -> None:
-    path = tmp_path / "many.html"
-    path.write_text(page_html(cheap_run(300), stills=False))
-    browser.open(path, 400)
-    assert browser.complaints() == []
-    assert browser.evaluate("document.documentElement.scrollWidth") <= 400
-    rows = "[...document.querySelectorAll('[data-name=cases] tbody tr')].filter(r => r.offsetHeight).length"
-    assert browser.evaluate(rows) == 12
-    browser.evaluate("document.querySelector('#cases [data-action=unfold]').click()")
-    assert browser.evaluate(rows) == 300
-
-
 def test_print_shows_the_still_pictures_and_every_row(browser: Browser, page: Path) -> None:
     browser.open(page, 1000)
     assert visible(browser, ".viewer")
@@ -197,19 +175,6 @@ def test_csv_neutralises_text_that_a_spreadsheet_would_run(browser: Browser, tmp
     assert {row[1] for row in rows} == {"'=cmd()", "'+1", "'-1", "'@x", 'a "b", c', "plain"}
     error = next(k for k, title in enumerate(head) if title.startswith("m,") or title == "m")
     assert all(float(row[error]) > 0 for row in rows), ("numbers stay numbers", head)
-
-
-def test_a_click_on_a_heading_sorts(browser: Browser, page: Path) -> None:
-    browser.open(page, 1000)
-    rows = "[...document.querySelectorAll('[data-name=cases] tbody tr')]"
-    column = f"{rows}.map(r => Number(r.cells[2].dataset.value))"
-    click = "document.querySelector('[data-name=cases] thead th:nth-child(3) button').click()"
-    browser.evaluate(click)
-    assert browser.evaluate(column) == [800, 800, 800, 200, 200, 200]
-    browser.evaluate(click)
-    assert browser.evaluate(column) == [200, 200, 200, 800, 800, 800]
-    head = "document.querySelector('[data-name=cases] thead th:nth-child(3)').getAttribute('aria-sort')"
-    assert browser.evaluate(head) == "ascending"
 
 
 # --- charts ---
@@ -410,16 +375,3 @@ def test_a_click_picks_the_node_in_front(browser: Browser, page: Path, run: Run)
     directions = run.cases[0].points / np.linalg.norm(run.cases[0].points, axis=1, keepdims=True)
     assert directions[picked] @ towards > 0.97
     assert len(read_out(browser)) == 3
-
-
-def test_a_step_that_failed_says_so(browser: Browser, tmp_path: Path) -> None:
-    path = tmp_path / "stopped.html"
-    path.write_text(
-        page_html(make_run([make_case({"m": 0.1}, stopped={"m": 2}, subdivisions=1)]), stills=False)
-    )
-    browser.open(path, 1000)
-    note = f"{VIEWER}.querySelector('.told').textContent"
-    assert "stopped at this load: the volume could not be held" in browser.evaluate(note)
-    move(browser, "step", 1)
-    assert "stopped" not in browser.evaluate(note)
-    assert browser.complaints() == []

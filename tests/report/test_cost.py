@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
-from tests.work.shared_work import ALONE, plan_of, run
 from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.blocks import Figures
@@ -17,8 +14,6 @@ from vdmbench.report.headline import _table, headline_metrics
 from vdmbench.report.section_cost import run_time_against_error, time_notes
 from vdmbench.scene.result import FrameTimes
 from vdmbench.verdict.digest import EARLIER, ELSEWHERE, ONCE, Digest
-from vdmbench.work import cache as answers
-from vdmbench.work import provenance
 
 MODELS = ("vdm-vector", "fem-condensed", "fem-coarse")
 
@@ -76,17 +71,6 @@ def test_every_model_stands_in_the_figure_with_budgets_and_limit() -> None:
             assert f">{line}</text>" in str(figure.svg)
 
 
-def test_a_case_that_was_done_before_the_others_is_of_an_earlier_run() -> None:
-    cases = [make_case({"vdm-m": 0.1}, label=label, subdivisions=1) for label in ("a", "b")]
-    cases = [dataclasses.replace(case, hash=2 * str(k)) for k, case in enumerate(cases)]
-
-    def marks(*resumed: str) -> tuple[str, ...]:
-        return Digest(dataclasses.replace(make_run(cases), plan={"resumed": resumed})).costs["vdm-m"].marks
-
-    assert marks("00") == marks("11") == (EARLIER,)
-    assert marks() == ()
-
-
 def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
     case = measured_anew(_case("Abacus 3", measured_earlier="yes", solver="iterative"))
     digest = Digest(make_run([case]))
@@ -102,19 +86,3 @@ def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
 
     assert marks(dataclasses.replace(own.frames, processor="Abacus 3")) == (ELSEWHERE,)
     assert marks(None) == (EARLIER, ELSEWHERE, ONCE)
-
-
-def test_what_another_machine_has_measured_says_so_in_the_next_case(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of models from a case file, and of the reference from a cache that was copied."""
-    changes: dict[str, Any] = ALONE | {"sweep": {}}
-    monkeypatch.setattr(answers, "processor_name", lambda: "Abacus 3")
-    monkeypatch.setattr(provenance, "_machine", lambda: {"processor": "Abacus 3"})
-    run(plan_of(tmp_path, tmp_path / "cache", **changes))
-    monkeypatch.undo()
-    study = ALONE["study"] | {"models": ["vdm-vector", "vdm-paper", "fem-linear"]}
-    (case,) = run(plan_of(tmp_path, tmp_path / "cache", **changes | {"study": study}))
-    found = {name: result.parameters.get("measured_on") for name, result in case.models.items()}
-    assert found == {"vdm-vector": "Abacus 3", "vdm-paper": None, "fem-linear": "Abacus 3"}
-    assert Digest(make_run([case])).costs["vdm-vector"].marks == (EARLIER, ELSEWHERE)

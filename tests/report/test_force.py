@@ -15,7 +15,6 @@ from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.blocks import Figures, Section, Text
 from vdmbench.report.section_force import force_against_indentation
-from vdmbench.study.config import resolved
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.loading import contact_pressure, contact_resultant, indentation, movement_force
 
@@ -55,14 +54,6 @@ def test_indentation_is_the_deepest_node_of_the_contact() -> None:
     found = depths(case)
     assert_allclose(found[REFERENCE], [0.5 * depth, depth], rtol=2e-3, atol=ATOL)  # facet normals
     assert_allclose(found["m"], 1.5 * found[REFERENCE], rtol=RTOL, atol=ATOL)
-
-
-def test_a_pull_is_the_mirror_image_of_a_push() -> None:
-    push, pull = (make_case({"m": 0.5}, steps=(0.5, 1.0), load=sign) for sign in (1.0, -1.0))
-    assert depths(push)["m"][-1] > 0.9 * 1.5 * AMPLITUDE
-    assert_allclose(depths(pull)["m"], -depths(push)["m"], rtol=RTOL, atol=ATOL)
-    ((_, told),) = figures_of(force_section(pull))
-    assert "m −500 mN at −3.00 mm" in told
 
 
 def moved_case(displacement: object = (0.0, 0.003, 0.004), **how: object) -> CaseResult:
@@ -115,44 +106,8 @@ def test_no_curve_of_a_body_with_a_weight_is_said_to_start_at_rest() -> None:
         assert any(said in note for note in notes) == there
 
 
-def test_a_pull_along_a_line_is_no_indentation() -> None:
-    line = {"kind": "line", "resultant": [0.0, 0.0, -1.0]}
-    case = make_case({"m": 0.1}, contact=line, steps=(0.5, 1.0))
-    assert force_against_indentation(Digest(make_run([case]))) is None
-
-
-def test_a_movement_is_drawn_for_model_and_reference() -> None:
-    ((title, told),) = figures_of(force_section(moved_case()))
-    assert title == "tool, the only case"
-    assert told == (
-        "Reaction force against prescribed displacement, tool, the only case: "
-        "m 800 mN at 5.00 mm and fem-linear 1.60 N at 5.00 mm."
-    )
-
-
 def test_one_load_is_no_empty_frame() -> None:
     assert force_against_indentation(Digest(make_run([moved_case(steps=(1.0,))]))) is None
-
-
-def test_contact_and_movement_of_one_scene_each_have_a_figure() -> None:
-    case = moved_case()
-    constraints = [
-        *resolved(case.study)["constraints"],
-        {"kind": "contact", "name": "finger", "region": "finger", "force": 0.5},
-    ]
-    section = force_section(asked(case, constraints=constraints))
-    assert [title for title, _ in figures_of(section)] == ["finger, the only case", "tool, the only case"]
-    (note,) = (block for block in section.blocks if isinstance(block, Text))
-    assert "The force of a contact is given" in note.text
-    assert "moved by a given amount" in note.text
-
-
-def test_a_region_that_is_held_still_is_not_a_push() -> None:
-    still = moved_case((0.0, 0.0, 0.0))
-    titles = [title for title, _ in figures_of(force_section(still))]
-    assert titles == ["the only case"]  # what is left is the indentation over the load factor
-    with pytest.raises(KeyError):
-        movement_force(still, "m", "tool")
 
 
 def test_a_pressure_of_unknown_resultant_is_drawn_as_a_pressure() -> None:

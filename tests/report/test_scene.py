@@ -128,11 +128,3 @@ def test_the_page_shows_the_scene_right_below_the_verdict() -> None:
     assert drawn is not None
     assert drawn.note == ""
     assert scene(Digest(make_run([]))) is None
-
-
-def test_where_bodies_differ_the_picture_names_its_case() -> None:
-    cases = [told("a", 0.45, 0.05), dataclasses.replace(make_case({"m": 0.3}, subdivisions=1), label="b")]
-    drawn = scene(Digest(make_run(cases)))
-    assert drawn is not None
-    assert drawn.note == "The picture shows b.", "the worst case"
-    assert dict(drawn.words)["Mesh"].startswith("42 to 162 surface nodes")

@@ -35,22 +35,6 @@ def test_spread_takes_medians_the_largest_size_and_its_own_bar() -> None:
     assert spread_of(np.array([math.nan]), np.array([0.1])) is None
 
 
-def test_errors_over_the_cases(digest: Digest) -> None:
-    vector = digest.spread("vdm-vector", VECTOR)
-    paper = digest.spread("vdm-paper", VECTOR)
-    assert vector is not None
-    assert paper is not None
-    assert_allclose([vector.median, vector.worst, vector.best], [0.078, 0.106, 0.05], rtol=RTOL, atol=ATOL)
-    assert_allclose([paper.median, paper.worst, paper.best], [0.66, 0.72, 0.6], rtol=RTOL, atol=ATOL)
-    assert (vector.measured, vector.resolved) == (
-        6,
-        4,
-    )  # 0.0068 is at most a tenth of 0.07, 0.086, 0.09, 0.106
-    deformation = digest.spread("vdm-vector", DEFORMATION)
-    assert deformation is not None
-    assert deformation.resolved == 3  # 0.0074 of 0.086, 0.09, 0.106
-
-
 def test_the_error_bar_is_the_convergence_index_of_the_metric() -> None:
     measured = {
         "relative_l2": 0.01,
@@ -135,12 +119,6 @@ def test_the_first_familys_model_is_looked_at_and_its_cases_ranked(digest: Diges
     assert ranked[2] == ("best", {"tissue.poisson_ratio": 0.3, "constraints.finger.pressure": 200.0})
 
 
-def test_two_cases_have_no_median_and_one_has_no_role() -> None:
-    two = [make_case({"m": e}, label=str(e), swept={"k": e}, subdivisions=0) for e in (0.1, 0.3)]
-    assert [role for role, _ in Digest(make_run(two)).key_cases] == ["worst", "best"]
-    assert [role for role, _ in Digest(make_run(two[:1])).key_cases] == [""]
-
-
 def test_without_a_reference_cases_are_ranked_by_displacement() -> None:
     cases = [
         make_case({"m": e}, label=str(e), swept={"k": e}, reference=None, subdivisions=0)
@@ -172,10 +150,3 @@ def test_a_failed_case_is_no_key_case() -> None:
     assert digest.stopped == {"m": 1}
     assert vector is not None
     assert vector.cases == 3
-
-
-def test_only_what_varies_counts_as_swept() -> None:
-    cases = [
-        make_case({"m": 0.1}, label=str(k), swept={"a": 1.0, "b": float(k)}, subdivisions=0) for k in range(2)
-    ]
-    assert Digest(make_run(cases)).swept_keys == ["b"]

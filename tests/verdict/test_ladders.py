@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -91,23 +90,6 @@ def test_a_breakdown_is_beside_the_range_that_is_right(found: dict[str, Ladder])
     assert found[NU].breakdowns(DIRECT)[0][1].residual == 1e-5
 
 
-def test_values_are_told_from_each_other() -> None:
-    ratios = (0.3, 0.4999, 0.4999999, 0.49999999999, 0.5)
-    ladder = Ladder(NU, "1", ratios, None, {})
-    assert [ladder.text(value) for value in ratios] == ["0.3", "0.4999", "0.4999999", "0.49999999999", "0.5"]
-    assert Ladder(SLIVERS, "1", (1e4, 1e6), None, {}).text(1e6) == "1e+06"
-
-
-def test_the_measures_are_the_worst_of_the_history() -> None:
-    read = reading(case({}), DIRECT)
-    assert read is not None
-    assert read.ok
-    assert (read.residual, read.condition) == (2e-14, 1e5)
-    assert math.isnan(read.difference)
-    assert math.isnan(read.left)
-    assert reading(case({}), "fem") is None
-
-
 @pytest.mark.parametrize(("residual", "silent"), [(9e-4, False), (1.1e-3, True)])
 def test_single_precision_may_leave_a_larger_residual(residual: float, silent: bool) -> None:
     one = case({}, residuals=(residual,) * 4)
@@ -138,12 +120,6 @@ def test_the_refined_solver_is_trusted_before_the_direct_one() -> None:
     assert trusted(one, NONLINEAR) is None, "another problem"
     refined = dataclasses.replace(one, models={**one.models, "vdm-paper:refined": one.models[LU]})
     assert trusted(refined, LU) == trusted(refined, DIRECT) == "vdm-paper:refined"
-
-
-def test_the_table_of_one_models_own_key_is_about_that_model() -> None:
-    key = f"models.{LU}.penalty"
-    [ladder] = ladders(Digest(make_run([case({key: 1e2}), case({key: 1e4})])))
-    assert set(ladder.readings) == {LU}
 
 
 def test_a_quasi_linear_step_that_is_too_long_is_told_from_a_wrong_number() -> None:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import itertools
 
-from tests.report.runs import make_case, make_run
 from vdmbench.report.plots import colour, line, marker
 from vdmbench.study.registry import all_models
-from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.palette import COLOURS, places
 
 
@@ -33,9 +31,3 @@ def test_no_two_models_of_a_study_look_alike() -> None:
     assert len(set(looks(names[-18:]).values())) == 18
     for a, b in itertools.combinations(range(COLOURS**2), 2):
         assert (colour(a), marker(a)) != (colour(b), marker(b)), "told apart without a line too"
-
-
-def test_a_digest_has_the_palette_whatever_the_order_of_its_models() -> None:
-    for models in (["vdm-vector", "vdm-paper"], ["vdm-paper", "other", "vdm-vector"]):
-        digest = Digest(make_run([make_case(dict.fromkeys(models, 0.1), subdivisions=0)]))
-        assert [digest.colour(name) for name in ("vdm-vector", "vdm-paper", "fem-linear")] == [2, 0, -1]

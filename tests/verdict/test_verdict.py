@@ -189,19 +189,6 @@ def with_status(case: CaseResult, model: str, message: str) -> CaseResult:
     return dataclasses.replace(case, models={**case.models, model: doubtful})
 
 
-def test_reservations_that_differ_by_a_number_are_told_once() -> None:
-    cases = [
-        with_status(
-            make_case({MODEL: 0.01}, label=str(k), swept={"k": float(k)}, subdivisions=0),
-            MODEL,
-            f"a bending comes out {number} % wrong",
-        )
-        for k, number in enumerate((109, 116, 111))
-    ]
-    found = [one for one in verdicts(Digest(make_run(cases))).reservations if one.model == MODEL]
-    assert found == [Reservation(MODEL, "a bending comes out 109 % wrong", 3)]
-
-
 @pytest.mark.parametrize("model", [MODEL, "fem-linear"])
 def test_a_yes_carries_the_reservations_of_model_and_reference(model: str) -> None:
     case = make_case({MODEL: 0.01}, subdivisions=1)
