@@ -26,7 +26,7 @@ from .output import (
 from .studies import load, make_plan, only_case, require_own, run_missing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from ..gate import Baseline, Finding
     from ..measures.foreign import Foreign
@@ -79,56 +79,45 @@ def _side_by_side(options: argparse.Namespace) -> int:
     from ..gate import baseline_of, compare
     from ..store.cases import read_run
 
-    paths = map(given_run_directory, options.directories)
-    directories = {os.path.normpath(path): path for path in paths}
+    directories = {os.path.normpath(path): path for path in map(given_run_directory, options.directories)}
     if not 2 <= len(directories) <= MOST:
         raise UsageError(f"give 2 to {MOST} different run directories, not {len(directories)}")
-    runs = {name: read_run(path) for name, path in directories.items()}
-    held = [baseline_of(run) for run in runs.values()]
-    findings = [compare(run, held[0], "A") for run in list(runs.values())[1:]]
-    found = list(_rows(held, findings))
+    first, *others = [read_run(path) for path in directories.values()]
+    held = [baseline_of(run) for run in (first, *others)]
+    findings = [compare(run, held[0], "A") for run in others]
+    found = _rows(held, findings)
     if options.json:
-        rows = [
-            {
-                **row,
-                "values": [None if math.isnan(value) else value for value in row["values"]],
-            }
-            for row in found
-        ]
         told = [[vars(finding) for finding in each] for each in findings]
-        return print_json({"runs": list(runs), "rows": rows, "findings": told})
-    _print(list(runs), found, findings)
+        return print_json({"runs": list(directories), "rows": found, "findings": told})
+    _print(list(directories), found, findings)
     return OK
 
 
-def _rows(held: Sequence[Baseline], findings: Sequence[Sequence[Finding]]) -> Iterator[dict[str, Any]]:
+def _rows(held: Sequence[Baseline], findings: Sequence[Sequence[Finding]]) -> list[dict[str, Any]]:
     """For each metric and model: the worst value of each run's cases, NaN for none, and what became of it."""
     from ..gate import OUTCOMES, OWN, SAME
 
-    worst: dict[str, dict[str, list[float]]] = {}
+    worst: dict[tuple[str, str], list[float]] = {}
     for place, one in enumerate(held):
         for case in one.cases.values():
-            for model, values in case.values.items():
-                for metric, value in values.items():
-                    row = worst.setdefault(metric, {}).setdefault(model, [math.nan] * len(held))
-                    if value is not None and not abs(row[place]) >= abs(value):
-                        row[place] = value
+            for model, found in case.values.items():
+                for metric, value in found.items():
+                    own = worst.setdefault((metric, model), [math.nan] * len(held))
+                    if value is not None and not abs(own[place]) >= abs(value):
+                        own[place] = value
     units = {name: measure.unit for one in held for name, measure in one.metrics.items()}
-    for metric, models in worst.items():
-        for model, found in models.items():
-            said = [
-                {f.outcome for f in each if f.model in ("", model) and f.metric in ("", metric)}
-                for each in findings
-            ]
-            outcomes = [next((one for one in OUTCOMES if one in each), SAME) for each in said]
-            unit = units[metric.removeprefix(OWN)]
-            yield {
-                "metric": metric,
-                "model": model,
-                "unit": unit,
-                "values": found,
-                "outcomes": ["first", *outcomes],
-            }
+    rows = []
+    for (metric, model), values in worst.items():
+        said = [
+            {f.outcome for f in each if f.model in ("", model) and f.metric in ("", metric)}
+            for each in findings
+        ]
+        outcomes = [next((one for one in OUTCOMES if one in each), SAME) for each in said]
+        unit, all_outcomes = units[metric.removeprefix(OWN)], ["first", *outcomes]
+        rows.append(
+            {"metric": metric, "model": model, "unit": unit, "values": values, "outcomes": all_outcomes}
+        )
+    return rows
 
 
 def _print(
