@@ -53,7 +53,7 @@ ZIPPED = {
 PARAMETERS = {"sweep": {"vdm.surface_tension": [20.0, 30.0, 40.0]}, "vdm": {"surface_tension": 20.0}}
 WEIGHT = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}, "tissue": TABLES["tissue"] | {"density": 1000.0}}
 PENALTY = {"vdm": {"penalty": 1e6}}
-LEVELS = {"sweep": {"uncertainty.levels": [2, 3], "constraints.finger.force": [0.1, 0.3]}}
+LEVELS = {"sweep": {"uncertainty.levels": [2, 3]}}
 BESIDE = {
     "study": {
         "name": "test",
@@ -65,6 +65,7 @@ COARSE = {"geometry": TABLES["geometry"] | {"mesh_size": 0.03}}
 FINITE = {
     "study": {"name": "test", "models": ["vdm-vector", "fem-linear", "fem"], "reference": "fem"},
     "uncertainty": None,
+    "sweep": {"constraints.finger.force": [0.1, 0.3]},
 }
 
 

@@ -81,8 +81,7 @@ def test_a_region_off_the_body_is_named_before_it_is_meshed(
     assert summary(plan)["refused"] == [line] * told
 
 
-@pytest.mark.parametrize("suffix", [".stl", ".vtu"])
-@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize(("suffix", "known"), [(".stl", False), (".vtu", True)])
 @pytest.mark.parametrize(("height", "told"), [(0.1, True), (0.055, False)])  # an edge beyond is no matter
 def test_a_region_off_the_body_of_a_file_is_named_before_it_is_meshed(
     tmp_path: Path, suffix: str, known: bool, height: float, told: bool
