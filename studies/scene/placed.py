@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 
 _LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: below it is rounding or chance
-_CLEAR_RESULTANT = 0.1  # the same, from which on samples of a profile tell that it has one
 
 
 class SceneError(InputError):
@@ -43,8 +42,6 @@ class PlacedConstraint:
     """A constraint on a mesh of N surface nodes and F facets with Q quadrature points each.
 
     `place` is its own in the study, `nodes` (N,) the mask of its `region`, which is in the mesh's coordinates.
-
-    Where it is only `checked`, samples stand for the integrals of a smooth profile that clearly presses one way.
     """
 
     constraint: Constraint
@@ -52,7 +49,6 @@ class PlacedConstraint:
     region: Region
     mesh: Mesh
     nodes: Mask
-    checked: bool = False
 
     @property
     def points(self) -> Array:
@@ -77,7 +73,10 @@ class PlacedConstraint:
 
     def resultant(self, pressure: Array) -> float:
         """Size of the resultant of a pressure, over its unit [m^2]."""
-        resultant, total = self._resultant_and_total(pressure)
+        vectors = facet_area_vectors(self.points, self.triangles)
+        areas = pressure @ facet_quadrature()[1]
+        resultant = float(np.linalg.norm(areas @ vectors))
+        total = float(np.abs(areas) @ np.linalg.norm(vectors, axis=1))
         if resultant < _LEAST_RESULTANT * total:
             raise self._error(
                 "presses from all sides, so that its pressures have no resultant to be given by force; give "
@@ -108,25 +107,15 @@ class PlacedConstraint:
             raise self._error("has no facet; enlarge its region or take a smaller mesh_size")
         return np.asarray(inside)
 
-    def _resultant_and_total(self, pressure: Array) -> tuple[float, float]:
-        vectors = facet_area_vectors(self.points, self.triangles)
-        areas = pressure @ facet_quadrature()[1]
-        return float(np.linalg.norm(areas @ vectors)), float(np.abs(areas) @ np.linalg.norm(vectors, axis=1))
-
     def _shape(self, profile: str | None) -> Array:
         barycentric, weights = facet_quadrature()
         if profile in (None, "uniform"):
             inside = np.all(self.nodes[self.triangles], axis=1)
             return np.repeat(inside[:, None].astype(float), len(weights), axis=1)
-        if self.checked:
-            samples = sampled(str(profile), self.region, self.mesh, barycentric)
-            resultant, total = self._resultant_and_total(samples)
-            if resultant > _CLEAR_RESULTANT * total:
-                return samples
         return on_facets(str(profile), self.region, self.mesh, (barycentric, weights))
 
     def _remembered(self, profile: str | None, work: Callable[[], Array]) -> Array:
-        asked = ("pressure", profile, self.checked, self.region.model_dump_json(), self.nodes.tobytes())
+        asked = ("pressure", profile, self.region.model_dump_json(), self.nodes.tobytes())
         return self.mesh.remembered(asked, work)
 
     def _error(self, text: str) -> SceneError:
@@ -222,12 +211,6 @@ def on_facets(profile: str, region: Region, mesh: Mesh, rule: tuple[Array, Array
         share /= 4.0
     barycentric, weights = rule
     return np.asarray(np.linalg.solve(_products(barycentric) * weights, moments.T).T)
-
-
-def sampled(profile: str, region: Region, mesh: Mesh, barycentric: Array) -> Array:
-    """(F, Q) values of the profile at the places (Q, 3) of each facet."""
-    corners = mesh.surface_points[mesh.triangles].transpose(1, 0, 2)
-    return PROFILES[profile](profile_coordinate(region, mesh, _at(barycentric, corners))).T
 
 
 def _are_split(region: Region, mesh: Mesh, corners: Array) -> tuple[Mask, Mask]:

@@ -193,13 +193,11 @@ def build_scene(
     mesh: Mesh,
     masks: Mapping[str, Mask] | None = None,
     inside: Mapping[str, Mask] | None = None,
-    *,
-    checked: bool = False,
 ) -> Scene:
     """Put a study's regions, constraints and loads on a mesh.
 
     `masks` gives the regions' nodes and `inside` the inclusions' tetrahedra where the mesh is a refinement, with
-    those of the coarse mesh. Of a scene that is only `checked` the pressures are no answer, see `PlacedConstraint`.
+    those of the coarse mesh.
 
     Raises
     ------
@@ -213,7 +211,7 @@ def build_scene(
     for number, constraint in enumerate(study.constraints):
         place, name = ("constraints", number), constraint.region
         _require_nodes(name, study, mesh, masks, ("regions", name))
-        acting.add(PlacedConstraint(constraint, place, regions[name], mesh, masks[name], checked))
+        acting.add(PlacedConstraint(constraint, place, regions[name], mesh, masks[name]))
     if study.acceptance.region is not None:
         _require_nodes(study.acceptance.region, study, mesh, masks, ("acceptance", "region"))
     _check_apart(study, masks, acting)

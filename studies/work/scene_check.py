@@ -62,7 +62,7 @@ def scene_of(plan: Plan, case: PlannedCase) -> Scene:
     """A case's scene on its surface, which is meshed however long that takes. Raises StudyError."""
     mesh = _surface(plan, case, most=math.inf, keep=False)
     assert mesh is not None
-    return _scene(plan, case, mesh, checked=False)
+    return _scene(plan, case, mesh)
 
 
 def _surface(plan: Plan, case: PlannedCase, most: float = MOST_NODES, *, keep: bool = True) -> Mesh | None:
@@ -131,10 +131,10 @@ def _too_far(loaded: list[tuple[PlannedCase, Scene]]) -> Iterator[Finding]:
                 return
 
 
-def _scene(plan: Plan, case: PlannedCase, mesh: Mesh, *, checked: bool = True) -> Scene:
+def _scene(plan: Plan, case: PlannedCase, mesh: Mesh) -> Scene:
     try:
         place_measured(case.study, mesh)
-        return build_scene(case.study, mesh, checked=checked)
+        return build_scene(case.study, mesh)
     except (SceneError, MeshError) as error:
         place: Loc = error.place if isinstance(error, SceneError) else ("constraints",)
         finding = (place, _in_case(str(error), case))
