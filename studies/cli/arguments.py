@@ -9,28 +9,22 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any, NoReturn
 
 from ..machine import harmless
 from .output import UsageError
 
-VERBS = (  # in the order in which they are told
-    "new",
-    "list",
-    "check",
-    "show",
-    "plan",
-    "run",
-    "calibrate",
-    "report",
-    "compare",
-    "export",
-    "gate",
-    "accept",
-    "bench",
-    "claims",
-    "schema",
+_ORDER = (
+    *("new", "list", "check", "show", "plan", "run", "calibrate", "report"),
+    *("compare", "export", "gate", "accept", "bench", "claims", "schema"),
 )
+_FOUND = {
+    module.name.removeprefix("verb_")
+    for module in iter_modules(import_module(__package__).__path__)
+    if module.name.startswith("verb_")
+}
+VERBS = (*_ORDER, *sorted(_FOUND - {*_ORDER}))  # in the order in which they are told
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
