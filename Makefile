@@ -42,7 +42,7 @@ baselines: setup
 	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
 	$(ONE_THREAD) $(RUN)python -m tests.bench.test_figures
 
-# ARGS are the table's own: a liver.obj for accuracy, ratios, untuned, parts, performance; studies for error_bars, scenes
+# ARGS are the table's own: a liver.obj for accuracy, ratios, parts, performance; studies for error_bars, scenes
 evidence: setup
 	@test -n "$(WHAT)" || { echo 'say what: make evidence WHAT=claims'; exit 2; }
 	$(if $(filter league measured,$(WHAT)),$(PIP) --quiet ./docs/examples)

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 
 from tests.example_case import example_measurement
 from tests.report.runs import make_case, make_run
-from tools import error_bars, evidence, mutants, trial, untuned
+from tools import error_bars, evidence, mutants, trial
 from tools.documents import CASES, README, ROOT, cells, rows_shown, shown
 from tools.evidence import EVIDENCE, MEASURES
 from vdmbench.study.config import expand, load_study
@@ -97,10 +97,6 @@ def test_other_studies_of_the_evidence_are_sound(tmp_path: Path) -> None:
     for body, load in ((body, load) for body in own["bodies"] for load in own["loads"]):
         path.write_text(evidence.league_study(body, load, OURS))
         assert len(expand(load_study(path))) == (4 if load == "touch" else 2)
-    (tmp_path / "body.stl").touch()
-    for load in EVIDENCE["untuned"]["loads"]:
-        path.write_text(untuned.study_text(untuned.torus(), load))
-        assert len(expand(load_study(path))) == 4
     for name in ("cup", "fork"):
         (tmp_path / f"{name}.stl").touch()
     for body, load in ((body, load) for body in trial.OWN["bodies"] for load in trial.OWN["loads"]):
@@ -156,7 +152,6 @@ def test_what_is_shown_is_made_of_all_rows() -> None:
 
     assert evidence.over_bodies(all_rows("ratios")) == there("ratios")
     assert evidence.accuracy_shown(all_rows("accuracy"))[1] == there("accuracy")
-    assert cells(untuned.by_body(all_rows("untuned")))[1:] == there("untuned")
     assert all_rows("parts") == there("parts")
     assert trial.summed_up(all_rows("parts")) == shown(ROOT / EVIDENCE["parts"]["document"], "trial-sum")
     assert there("performance")[-1] == next(
