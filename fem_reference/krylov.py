@@ -7,10 +7,12 @@ Source: Saad and Schultz 1986, doi 10.1137/0907058.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
+from threadpoolctl import ThreadpoolController
 
 from fem_reference.costs import RESTART
 from solver_common.arrays import Array
@@ -35,17 +37,25 @@ def gmres(
     target = tolerance * float(np.linalg.norm(rhs))
     x = start
     done = 0
-    while done < max_iterations:
-        residual = rhs - apply(x)
-        norm = float(np.linalg.norm(residual))
-        if not np.isfinite(norm) or norm <= target:
-            break
-        correction, used = _cycle(
-            apply, precondition, residual, norm, target, min(RESTART, max_iterations - done)
-        )
-        x = x + correction
-        done += used
+    # The vectors are too short for threads to help, and on a busy machine threads that wait for each other make
+    # the same solve many times slower.
+    with _threads().limit(limits=1, user_api="blas"):
+        while done < max_iterations:
+            residual = rhs - apply(x)
+            norm = float(np.linalg.norm(residual))
+            if not np.isfinite(norm) or norm <= target:
+                break
+            correction, used = _cycle(
+                apply, precondition, residual, norm, target, min(RESTART, max_iterations - done)
+            )
+            x = x + correction
+            done += used
     return x, done
+
+
+@cache
+def _threads() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def _cycle(

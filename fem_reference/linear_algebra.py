@@ -15,7 +15,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array
-from threadpoolctl import threadpool_limits
 
 from fem_reference.costs import Estimate, estimate_costs, faster_that_fits
 from fem_reference.factorisation import LIBRARY, Analysis, pivotable_triangle
@@ -154,12 +153,9 @@ class IterativeSolver:
         """Solve for independent columns and combine; see `Solver`."""
         x = np.zeros_like(rhs)
         iterations = np.zeros(rhs.shape[1], dtype=np.int64)
-        # The vectors are too short for threads to help, and on a busy machine threads that wait for each other
-        # make the same solve many times slower.
-        with threadpool_limits(limits=1, user_api="blas"):
-            chosen, coefficients = independent_columns(rhs)
-            for column in chosen:
-                x[:, column], iterations[column] = self._gmres(rhs[:, column], np.zeros(len(rhs)))
+        chosen, coefficients = independent_columns(rhs)
+        for column in chosen:
+            x[:, column], iterations[column] = self._gmres(rhs[:, column], np.zeros(len(rhs)))
         combined = np.setdiff1d(np.arange(rhs.shape[1]), chosen)
         x[:, combined] = x[:, chosen] @ coefficients[:, combined]
         residual = relative_residual(self._system, x, rhs)

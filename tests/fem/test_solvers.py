@@ -8,8 +8,10 @@ import sys
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import spsolve
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from fem_reference import krylov, linear_algebra
 from fem_reference.costs import Estimate, estimate_costs
@@ -287,3 +289,15 @@ def test_a_singular_matrix_is_told() -> None:
     system.gradient.data[:] = system.divergence.data[:] = 0.0
     with pytest.raises(SolverError, match="the stiffness matrix is singular; hold more of the surface"):
         DirectSolver(system, None, "")
+
+
+def test_gmres_takes_one_thread() -> None:
+    taken = []
+
+    def apply(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        taken.extend(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+        return 2.0 * x
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        gmres(apply, lambda x: x, np.ones(5), np.zeros(5), tolerance=1e-9, max_iterations=5)
+    assert set(taken) == {1}
