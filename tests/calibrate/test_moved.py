@@ -52,7 +52,6 @@ def loss(trial: Trial, multiples: np.ndarray) -> float:
     [
         ("vdm-vector", ["surface_tension"], [1.7]),
         ("vdm-vector", ["surface_tension"], [20.0]),
-        ("bem", ["shear_modulus"], [0.4]),
         ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5]),
         ("vdm-vector:nonlinear", ["surface_tension"], [1.7]),
     ],
@@ -65,9 +64,15 @@ def test_the_parameters_behind_an_answer_to_a_movement_and_a_force_are_found(
     assert_allclose(found, multiples, rtol=1e-5, atol=0)
 
 
-@pytest.mark.parametrize("model", ["vdm-vector", "vdm-vector:nonlinear"])
-@pytest.mark.parametrize("foundation", [0.0, 5e4])
-@pytest.mark.parametrize("movement", [False, True])
+@pytest.mark.parametrize(
+    ("model", "foundation", "movement"),
+    [
+        ("vdm-vector", 0.0, False),
+        ("vdm-vector", 5e4, True),
+        ("vdm-vector:nonlinear", 0.0, True),
+        ("vdm-vector:nonlinear", 5e4, False),
+    ],
+)
 def test_no_multiple_beside_the_fit_has_a_smaller_error(
     four_loads: list[Sample], model: str, foundation: float, movement: bool
 ) -> None:
