@@ -194,8 +194,8 @@ def _targets(node: Node, key: str, loc: Loc, value: Any) -> Iterator[tuple[str, 
         if value is None and len(loc) > 1:
             return  # an optional table inside another, which a value of a sweep cannot complete
         inside = value if isinstance(value, dict) else {}
-        kinds = _kinds(node)
-        chosen = [kind for word, kind in kinds.items() if word in inside.values()] or list(kinds.values())
+        kinds, named = _kinds(node), inside.get(next(iter(node["properties"])))
+        chosen = [kind for word, kind in kinds.items() if word == named] or list(kinds.values())
         fields = {name: field for kind in chosen or [node] for name, field in kind["properties"].items()}
         for name, field in fields.items():
             yield from _targets(field, f"{key}.{name}", (*loc, name), inside.get(name))
