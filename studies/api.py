@@ -90,15 +90,13 @@ class Results:
 
     def _repr_html_(self) -> str:
         """The table of the terminal, the verdicts and the way to the report, for a notebook."""
+        import pandas as pd
+
         from .report.headline import terminal_rows
         from .verdict.digest import digest_of
         from .verdict.words import told
 
-        rows = terminal_rows(digest_of(self.data))
-        head = "".join(f"<th>{escape(key)}</th>" for key in (rows[0] if rows else {}))
-        body = "".join(
-            "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row.values()) + "</tr>" for row in rows
-        )
+        rows = pd.DataFrame(terminal_rows(digest_of(self.data)))
         title = escape(self.data.study.study.title)
         failed = "".join(f"<p>failed: {escape(line)}</p>" for line in self.failed)
         words = told(self.verdicts)
@@ -106,7 +104,7 @@ class Results:
         lines += map(escape, (*words.notes, *words.instead))
         answers = "".join(f"<p>{line}</p>" for line in lines)
         return (
-            f"<h4>{title}</h4>{answers}<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{failed}"
+            f"<h4>{title}</h4>{answers}{rows.to_html(index=False, border=0)}{failed}"
             f'<p><a href="{escape(self.report.resolve().as_uri())}">report</a></p>'
         )
 

@@ -49,25 +49,14 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
         print(
             f"{found['done']} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"
         )
-        if spent := taken(run.plan):
-            print(folded(spent))
+        if spent := run.plan.get("taken"):
+            used = f"{plural(spent['jobs'], 'job')}: {spent['processor_seconds']:.0f} s of processor"
+            print(folded(f"took {spent['seconds']:.0f} s with {used}"))
         print(f"report: {report}")
     if run.failed and not found["done"] and all(failure["code"] == "input" for failure in run.failed):
         return USAGE  # nothing could be done with what the user gave
     ended = found["judgement"].get("unreached")
     return DAMAGED if run.damaged else FAILED if run.failed or ended else OK
-
-
-def taken(plan: Mapping[str, Any]) -> str:
-    """What the last run took; "" where that is not known."""
-    try:
-        spent = plan["taken"]
-        return (
-            f"took {spent['seconds']:.0f} s with {plural(spent['jobs'], 'job')}: "
-            f"{spent['processor_seconds']:.0f} s of processor"
-        )
-    except (KeyError, TypeError, ValueError):
-        return ""
 
 
 def print_answers(told: Mapping[str, Any]) -> None:

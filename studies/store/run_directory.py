@@ -47,6 +47,13 @@ class _Study:
 
 
 @dataclass
+class _Taken:
+    seconds: float
+    processor_seconds: float
+    jobs: int
+
+
+@dataclass
 class _Plan:
     study: _Study
     cases: Sequence[_Case]
@@ -54,6 +61,7 @@ class _Plan:
     resumed: Sequence[str] = ()
     command: Sequence[str] = ()
     directory: str = ""
+    taken: _Taken | None = None
 
 
 @dataclass

@@ -93,6 +93,7 @@ def test_the_report_is_rebuilt_from_a_copied_directory(copy: Path, tmp_path: Pat
     assert verdict["word"] in ("yes", "no")
     assert f"VDM as printed: {verdict['word']}. vdm-paper: " in result.stdout
     assert verdict["limits"][0]["key"] == "displacement_error"
+    assert " s of processor\n" in result.stdout.replace("\n  ", " ")
     assert list(rows["metrics"]) == ["vdm-paper", "fem-linear"]
     errors = [
         case.metrics["vdm-paper"]["relative_l2_displacement_error"].values[-1]
