@@ -31,7 +31,7 @@ class UsageError(ValueError):
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     """The headline table, the verdict, the failures and the report's path."""
     if run.told is None:
-        from ..report.summary import summary  # plotting is slow to load
+        from ..report.headline import summary  # plotting is slow to load
 
         run = dataclasses.replace(run, told=summary(run))
     found = dict(run.told or {})

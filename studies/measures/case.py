@@ -120,7 +120,7 @@ class Run:
     missing: Sequence[str]  # labels of planned cases without a result
     plan: Mapping[str, Any]
     told: Mapping[str, Any] | None = (
-        None  # `vdmbench.report.summary` of it, where that is made or kept already
+        None  # `vdmbench.report.headline.summary` of it, where that is made or kept already
     )
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 from ..measures.case import Run
@@ -19,9 +20,10 @@ from ..verdict.formatting import (
     plural,
     quantity,
 )
-from ..verdict.verdict import Limit, Verdict, Verdicts
-from ..verdict.words import TITLES, said, to_do, why_not
+from ..verdict.verdict import Limit, Verdict, Verdicts, verdicts
+from ..verdict.words import TITLES, said, to_do, told, why_not
 from .blocks import Cell, Field, Section, Table, Text, frame_table, spread_cell
+from .section_cases import stopped_models
 from .section_cost import time_notes
 
 TONES = {"yes": "good", "no": "bad", "not judged": "muted"}
@@ -162,8 +164,7 @@ def _time(digest: Digest, name: str, seconds: float, *, frame: bool = False) -> 
     cost, everywhere = digest.costs[name], digest.costs[name].everywhere
     how = ["iterative"] if frame and cost.iterative else []
     how += [f"{quantity(everywhere, 's')} all nodes"] if frame and math.isfinite(everywhere) else []
-    marks = [mark.removesuffix(" run") for mark in cost.marks]
-    return Cell(quantity(seconds, "s"), "\n".join([*how, *marks]), seconds)
+    return Cell(quantity(seconds, "s"), "\n".join([*how, *cost.marks]), seconds)
 
 
 def _reading(digest: Digest) -> str:
@@ -189,6 +190,21 @@ def _reading(digest: Digest) -> str:
 
 
 # --- for a terminal and for programs ---
+
+
+def summary(run: Run) -> dict[str, Any]:
+    """What is done, the numbers of every model, the verdicts: plain data, kept for a run that has nothing to do."""
+    digest = digest_of(run)
+    found = verdicts(digest)
+    return {
+        "done": len(run.cases),
+        "failed": list(run.failed),
+        "missing": list(run.missing),
+        "stopped": [one._asdict() for one in stopped_models(digest)],
+        "metrics": headline_metrics(run),
+        "answers": asdict(told(found)),
+        "table": terminal_rows(digest),  # of the terminal, which JSON does not show
+    } | found.as_data()
 
 
 def terminal_rows(digest: Digest) -> list[dict[str, str]]:

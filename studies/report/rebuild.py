@@ -14,8 +14,8 @@ from ..verdict.digest import digest_of
 
 def rebuild(directory: Path) -> tuple[Run, Path]:
     """Write the tables and the report from the stored results alone; returns the run and the report's path."""
+    from .headline import summary
     from .page import write_report  # plotting is slow to load, and who only plans draws nothing
-    from .summary import summary
 
     read_plan(directory)  # nothing is left in a directory that is none of ours
     report = directory / REPORT

@@ -9,7 +9,7 @@ from typing import Any
 from matplotlib.axes import Axes
 
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..verdict.digest import EARLIER, ELSEWHERE, ONCE, REFERENCE, Cost, Digest
+from ..verdict.digest import ELSEWHERE, ONCE, REFERENCE, Cost, Digest
 from ..verdict.formatting import listed, quantity, short_percent
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Plot, budget_line, colour, draw, limit_line, own_line, percent_axis, time_ticks
@@ -48,9 +48,8 @@ def time_notes(costs: Iterable[Cost]) -> list[str]:
     """What stands beside times that are not simply those of a solve in this run."""
     found = list(costs)
     notes = {
-        EARLIER: "from another run: the machine may have been less busy then, or busier",
         ELSEWHERE: "compare with times of that machine only",
-        ONCE: "not measured in turns, as the model is slow or on a mesh of its own",
+        ONCE: "not measured in turns with the others: the machine may have been busier then, or less busy",
     }
     told = [f"{mark}, {note}" for mark, note in notes.items() if any(mark in cost.marks for cost in found)]
     if any(cost.iterative for cost in found):

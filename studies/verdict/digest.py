@@ -50,7 +50,7 @@ ALONG_NORMALS = 1e-9  # of its motion that a model of the normal component has i
 NORMAL, CONTACT, HAUSDORFF = "relative_l2_normal_error", "contact_region_error", "hausdorff_distance"
 DRIFT = "volume_drift"
 # what stands beside a time
-EARLIER, ELSEWHERE, ONCE = "earlier run", "another machine", "one answer"
+ELSEWHERE, ONCE = "another machine", "one answer"
 
 
 def failed_steps(model: ModelResult) -> list[int]:
@@ -97,7 +97,7 @@ class Cost:
     """What a model takes: medians over cases and steps [s], the most memory [B], what stands beside the times.
 
     `frame` is of the contact, `everywhere` with all nodes loaded, over meshes and rounds; without measured frames
-    `frame` is over steps. `marks` are EARLIER, ELSEWHERE, ONCE; `iterative` tells whether such a solver was chosen.
+    `frame` is over steps. `marks` are ELSEWHERE, ONCE; `iterative` tells whether such a solver was chosen.
     """
 
     model: str
@@ -496,20 +496,15 @@ class Digest:
         )
 
     def _marks(self, name: str) -> tuple[str, ...]:
-        """What is said of a model's times: nothing where all are of the run that did the others, here."""
-        resumed = set(self.run.plan.get("resumed", ()))  # done before the last run that did others
-        found, anew = set(), any(m.frames is not None for case in self.cases for m in case.models.values())
-        here = processor_name()
+        """What is said of a model's times: nothing where all were measured in turns with the others, here."""
+        found = set()
         for case in (case for case in self.cases if name in case.models):
             about, frames = case.models[name].parameters, case.models[name].frames
-            if frames is not None:
-                found |= {ELSEWHERE} if frames.processor != here else set()
-                continue
-            found |= {ONCE} if anew else set()
-            found |= {EARLIER} if case.hash in resumed or "measured_earlier" in about else set()
             machine = about.get("measured_on", case.provenance.get("processor", ""))
-            found |= {ELSEWHERE} if machine not in ("", here) else set()
-        return tuple(mark for mark in (EARLIER, ELSEWHERE, ONCE) if mark in found)
+            machine = frames.processor if frames is not None else machine
+            found |= {ONCE} if frames is None else set()
+            found |= {ELSEWHERE} if machine not in ("", processor_name()) else set()
+        return tuple(mark for mark in (ELSEWHERE, ONCE) if mark in found)
 
 
 def _differences(case: CaseResult, model: str, region: str) -> Array:

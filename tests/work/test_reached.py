@@ -13,7 +13,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.refine import Hierarchy
 from vdmbench.measures.case import CaseResult
 from vdmbench.models.model import run_model
-from vdmbench.report.summary import summary
+from vdmbench.report.headline import summary
 from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import load_study
