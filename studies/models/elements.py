@@ -291,7 +291,6 @@ _elements = partial(
     fibres=True,
     memory=_quadratic,
     takes=_takes(_ONE),
-    one_over_modulus=True,
 )
 for _model in (
     _elements(
@@ -341,7 +340,6 @@ for _model in (
         tissue=("youngs_modulus", "poisson_ratio", "law", *LAW_KEYS),
         solvers=_BOTH,
         superposes=(),
-        one_over_modulus=False,
         continues=_finite_strain_onward,
     ),
 ):

@@ -238,7 +238,6 @@ _surface = partial(
     volumetric=False,
     superposes=("linear",),
     tissue=("youngs_modulus",),
-    one_over_modulus=True,
 )
 # of `vdmbench.study.registry.EXTRAS`
 SPRINGS, FULL, DEAD, INCLUSIONS = "normal springs", "full springs", "dead forces", "inclusions"

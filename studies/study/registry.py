@@ -142,7 +142,6 @@ class Declared:
     of_solvers : of these the ones that only some of its solvers read, and which
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
-    one_over_modulus : whether its answers to forces go with one over Young's modulus where its moduli are by rule
     """
 
     name: str
@@ -162,7 +161,6 @@ class Declared:
     of_solvers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()
-    one_over_modulus: bool = False
     family: Family = Family.ENGINES
 
 

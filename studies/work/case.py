@@ -12,6 +12,7 @@ import numpy as np
 
 from solver_common.arrays import Array
 
+from ..body.mesh import Mesh
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface
 from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
@@ -24,15 +25,19 @@ from ..models import find
 from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
 from ..store.cases import write_case
+from ..store.plain import typed
 from ..study.files import without_folders
 from ..study.registry import REFINED
 from ..study.schema import Study
-from .cache import combined, limits_path, read_limits, steps_of, stored_answer
+from .cache import combined, limits_path, read_limits, steps_of, stored_answer, write_limits
 from .keys import Wanted
+from .plan import PlannedCase
 from .provenance import provenance
 from .reached import at_what_was_reached
+from .small_strain import small_strain_limits
 
 Payload = Mapping[str, Any]
+Stored = Callable[[str], ModelResult]  # key -> answer
 
 
 @lru_cache(maxsize=64)  # of a worker: cases of one body share answers
@@ -41,7 +46,7 @@ def _stored(cache: Path, key: str, run: str) -> ModelResult:
 
 
 def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
-    """Write one case, as `vdmbench.work.tasks` describes it.
+    """Write one case, told as by `vdmbench.work.tasks.case_payload`.
 
     Parameters
     ----------
@@ -54,12 +59,12 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
     OSError
         an answer is gone that was there; disk full or read-only.
     """
-    study = Study.model_validate(payload["study"])
-    mesh = meshes(0).finest
+    case = typed(PlannedCase, payload["case"])
+    study, mesh = case.study, meshes(0).finest
     scene = build_scene(study, mesh)
     surface = loaded_surface(scene)
-    wanted = [Wanted(**entry) for entry in payload["wanted"]]
-    found = [(want, _result(want, scene, payload)) for want in wanted]
+    stored = partial(_stored, Path(payload["cache"]), run=payload["run"])
+    found = [(want, _result(want, scene, stored)) for want in case.wanted]
     coarse = reference = study.study.reference
     places, found = at_what_was_reached(study, scene, found, meshes)
     factors, asked = scene.factors_at(places), np.flatnonzero(places % 1.0 == 0.0)
@@ -71,7 +76,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
         reference += REFINED
         results[reference] = levels[-1]
 
-    linear = {want.name for want in wanted if want.scales}
+    linear = {want.name for want in case.wanted if want.scales}
     answers = {
         name: Answer.of(steps_of(result, asked), linear=name.removesuffix(REFINED) in linear)
         for name, result in results.items()
@@ -80,7 +85,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
     of_levels = [
         (names.get(id(one), ""), Answer.of(steps_of(one, asked), linear=coarse in linear)) for one in levels
     ]
-    varied, spread, rules = partial(_varied, payload), None, {}
+    varied, spread, rules = partial(_varied, case, stored), None, {}
     if study.inputs is not None:
         step = full_load_step(scene.load_factors)
         own = {name: one.displacement[step] for name, one in answers.items()}
@@ -88,8 +93,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
             study, surface, own, lambda name: [one.displacement[step] for one in varied(name)]
         )
         rules = {name: (Propagation(study), partial(varied, name)) for name in results}
-    swept, units = payload["swept"], payload["swept_units"]
-    measurement = hold_against(study, mesh, swept, units, answers, of_levels, rules)
+    measurement = hold_against(study, mesh, case.swept, case.swept_units, answers, of_levels, rules)
     if measurement is not None:
         of_asked = [replace(one, step=int(asked[one.step])) for one in measurement.quantities]
         measurement = replace(measurement, quantities=of_asked)
@@ -98,11 +102,11 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
     write_case(
         Path(payload["path"]),
         CaseResult(
-            hash=payload["id"],
-            label=payload["label"],
-            swept=without_folders(swept),
-            swept_units=units,
-            study=Study.model_validate(without_folders(payload["study"])),
+            hash=case.hash,
+            label=case.label,
+            swept=without_folders(case.swept),
+            swept_units=case.swept_units,
+            study=Study.model_validate(without_folders(payload["case"]["study"])),
             provenance=provenance(mesh) | ({"geometry_file_hash": file_hash} if file_hash else {}),
             points=mesh.surface_points,
             triangles=mesh.triangles,
@@ -113,7 +117,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
             reference=reference,
             # of mesh levels, the finest first
             reference_error=own_error(surface, levels[::-1], factors) if len(levels) > 1 else {},
-            small_strain=_small_strain(payload),
+            small_strain=_limits(case, mesh, payload),
             measurement=measurement,
             inputs=spread,
             moved=mesh.moved,
@@ -132,39 +136,39 @@ def loaded_surface(scene: Scene) -> Surface:
     return surface.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
 
 
-def _result(wanted: Wanted, scene: Scene, payload: Payload) -> ModelResult:
-    answers = [_stored(Path(payload["cache"]), key, payload["run"]) for key in wanted.answers]
+def _result(wanted: Wanted, scene: Scene, stored: Stored) -> ModelResult:
+    answers = [stored(key) for key in wanted.answers]
     if not wanted.scales:
         return answers[0]
     datum = 0.0 if find(wanted.name)[0].volumetric else scene.environment_pressure
     return combined(answers, wanted.scales, scene.mesh, datum)
 
 
-def _varied(payload: Payload, name: str) -> list[Answer]:
+def _varied(case: PlannedCase, stored: Stored, name: str) -> list[Answer]:
     """What a model answers to each variation of the inputs; the refined reference as on the case's own mesh."""
-    parts = [one for entry in payload["variations"] for one in entry]
-    return [
-        _varied_answer(payload, Wanted(**one["wanted"]), one["times"], one["values"])
-        for one in parts
-        if one["wanted"]["name"] == name.removesuffix(REFINED)
-    ]
+    return [_varied_answer(part, part.want(name.removesuffix(REFINED)), stored) for part in case.variations]
 
 
-def _varied_answer(payload: Payload, want: Wanted, times: float, values: Mapping[str, float]) -> Answer:
-    cache, run = Path(payload["cache"]), payload["run"]
-    found = {key: _stored(cache, key, run) for key in dict.fromkeys(want.answers)}
+def _varied_answer(case: PlannedCase, want: Wanted, stored: Stored) -> Answer:
+    found = {key: stored(key) for key in dict.fromkeys(want.answers)}
     if not want.scales:
-        return Answer.of(found[want.answers[0]], values=values)
+        return Answer.of(found[want.answers[0]], values=case.values)
     steps = [(scale, found[key]) for key, scale in zip(want.answers, want.scales, strict=True)]
-    displacement = np.concatenate([times * scale * one.displacement for scale, one in steps])
+    displacement = np.concatenate([scale * one.displacement for scale, one in steps])
     reaction = np.concatenate([scale * one.reaction_force for scale, one in steps])
-    return Answer(displacement, reaction, linear=True, values=values)
+    return Answer(displacement, reaction, linear=True, values=case.values)
 
 
-def _small_strain(payload: Payload) -> SmallStrainLimits | None:
-    if payload["limits"] is None:
+def _limits(case: PlannedCase, mesh: Mesh, payload: Payload) -> SmallStrainLimits | None:
+    """The case's small-strain limits, where it asks for them: those of the cache, or found and kept there."""
+    if case.limits is None:
         return None
-    return read_limits(limits_path(Path(payload["cache"]), payload["limits"]))
+    path = limits_path(Path(payload["cache"]), case.limits)
+    found = None if payload["fresh"] else read_limits(path)
+    if found is None:
+        found = small_strain_limits(case.study, mesh)
+        write_limits(path, found)
+    return found
 
 
 def compare(

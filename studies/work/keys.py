@@ -26,8 +26,6 @@ from ..study.registry import lacks
 from ..study.schema import Study, extras_for, extras_of
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
-_FORCES = ("fixed", "contact", "line", "traction")  # kinds of constraints that hold, or act by forces
-_NO_MODULI = ("coarse_nodes", "compressibility", "parts", "rotation")  # of the parameters of [vdm]
 _DIGITS = 12  # of a load beside others: less is rounding
 _LIMITS = 2  # of the rules of measures/limits.py, one more where a limit changes
 # of a set-up's inputs those that enter its key by what reads them; any other enters whole
@@ -144,24 +142,6 @@ def _wanted(
         factor,
         tuple(key(load if scale else acting) for load, scale in sized),
         tuple(scale for _, scale in sized),
-    )
-
-
-def goes_with_modulus(study: Study, name: str) -> bool:
-    """Whether a model's answers go with one over Young's modulus: linear, all moduli by rule, only forces act."""
-    model, _ = models.find(name)
-    given = {**study.vdm_parameters(), **study.model_parameters().get(name, {})}
-    forces = all(
-        part.kind in _FORCES or (part.kind == "constrained" and not any(part.displacement or ()))
-        for part in study.constraints
-    )
-    return (
-        model.one_over_modulus
-        and models.superposes(name, penalty=has_penalty(study, name))
-        and forces
-        and not set(given) & {key for key in models.reads(name) if key not in _NO_MODULI}
-        and study.environment is None
-        and (not study.inclusions or name in study.study.homogeneous)
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,8 +15,8 @@ from solver_common.arrays import Array
 from .. import models
 from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path
-from ..machine import is_sound
-from ..study.config import ResolvedCase, geometry_error
+from ..machine import is_sound, plain
+from ..study.config import ResolvedCase, geometry_error, resolved
 from ..study.errors import MeshError
 from ..study.registry import Size
 from ..study.schema import Study
@@ -30,7 +30,7 @@ from ..study.shapes import (
     geometry_key,
 )
 from ..study.sweep import variations
-from .keys import Wanted, case_hash, goes_with_modulus, limits_key, wanted
+from .keys import Wanted, case_hash, limits_key, wanted
 
 T = TypeVar("T")
 
@@ -45,32 +45,39 @@ class PlannedCase:
     swept_units: Mapping[str, str]
     study: Study
     mesh: str  # key of its mesh
-    chosen: frozenset[str] | None = None  # of a variation: the models that answer it
-    values: Mapping[str, float] = field(default_factory=dict)  # of a variation: key -> value
-    times: float = 1.0  # of a variation: what its displacements are to be multiplied by
+    values: Mapping[str, float] = field(default_factory=dict)  # of a variation of its inputs: key -> value
+
+    def as_json(self) -> dict[str, Any]:
+        """The case as a worker is told it, who reads it back by `vdmbench.store.plain.typed`."""
+        return plain(self, without=("study",)) | {"study": resolved(self.study)}
 
     @cached_property
     def wanted(self) -> tuple[Wanted, ...]:
-        """What it takes of every model, and of the reference on every level."""
+        """What it takes of every model, and of the reference on every level; a variation on its own mesh alone."""
         found = wanted(self.study, self.mesh)
-        if self.chosen is None:
-            return tuple(found)
-        return tuple(want for want in found if want.name in self.chosen and want.level == 0)
+        return tuple(want for want in found if want.level == 0 or not self.values)
 
     @cached_property
     def limits(self) -> str | None:
         """Key of its small-strain limits."""
-        return limits_key(self.study, self.hash) if self.chosen is None else None
+        return limits_key(self.study, self.hash)
 
     @cached_property
-    def variations(self) -> tuple[tuple[PlannedCase, ...], ...]:
-        """Where its inputs are not known: other values of them, each with some of the models."""
-        return _varied(self) if self.chosen is None else ()
+    def variations(self) -> tuple[PlannedCase, ...]:
+        """Where its inputs are not known: other values of them."""
+        if self.study.inputs is None or self.values:
+            return ()
+        found = []
+        for varied in variations(self.study)[0]:
+            told = ", ".join(f"{key} = {value:.6g}" for key, value in varied.values.items())
+            about: dict[str, Any] = {"hash": "", "label": ", ".join(filter(None, (self.label, told)))}
+            found.append(replace(self, study=varied.study, values=varied.values, **about))
+        return tuple(found)
 
     @property
     def parts(self) -> list[PlannedCase]:
         """The case and its variations."""
-        return [self, *(part for variation in self.variations for part in variation)]
+        return [self, *self.variations]
 
     def want(self, name: str, level: int = 0) -> Wanted:
         """What it takes of one model on one mesh level."""
@@ -241,7 +248,8 @@ def make_plan(
                 found[asked] = _planned_mesh(geometry, volume)
             except MeshError as error:
                 raise geometry_error(study, error) from error
-        planned.append(_planned(case, case.study, found[asked].key))
+        about = case.label, case.swept, case.swept_units, case.study
+        planned.append(PlannedCase(case_hash(case.study, found[asked].key), *about, found[asked].key))
     meshes = {mesh.key: mesh for mesh in found.values()}
     return Plan(study, tuple(planned), meshes, directory, cache, command, fresh)
 
@@ -252,42 +260,6 @@ def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size)
     file_hash = file_digest(geometry.path) if isinstance(geometry, FileBody) else ""
     return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume, file_hash)
-
-
-def _planned(case: ResolvedCase | PlannedCase, study: Study, mesh_key: str, **about: Any) -> PlannedCase:
-    """A case of the sweep, with its own study or with a varied one."""
-    given = {"label": case.label, "swept": case.swept, "swept_units": case.swept_units} | about
-    return PlannedCase(hash=case_hash(study, mesh_key), study=study, mesh=mesh_key, **given)
-
-
-_MODULUS = "tissue.youngs_modulus"
-
-
-def _varied(case: PlannedCase) -> tuple[tuple[PlannedCase, ...], ...]:
-    """The variations of a case; models whose answers go with one over the modulus are asked at the case's own."""
-    study = case.study
-    if study.inputs is None:
-        return ()
-    names, own, found = frozenset(study.study.models), study.tissue.youngs_modulus, []
-    for varied in variations(study)[0]:
-        moved = _MODULUS in varied.values
-        free = frozenset(name for name in names if moved and goes_with_modulus(study, name))
-        tissue = varied.study.tissue.model_copy(update={"youngs_modulus": own})
-        same = varied.study.model_copy(update={"tissue": tissue})
-        told = ", ".join(f"{key} = {value:.6g}" for key, value in varied.values.items())
-        label = ", ".join(filter(None, (case.label, told)))
-        parts = (
-            (varied.study, names - free, 1.0),
-            (same, free, own / varied.values.get(_MODULUS, own)),
-        )
-        found.append(
-            tuple(
-                _planned(case, of, case.mesh, label=label, chosen=some, values=varied.values, times=times)
-                for of, some, times in parts
-                if some
-            )
-        )
-    return tuple(found)
 
 
 def needs_volume(study: Study) -> bool:

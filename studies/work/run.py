@@ -34,7 +34,7 @@ from ..study.units import shown
 from .explain import beyond_memory, summary
 from .plan import Plan, PlannedCase
 from .pool import Pool, local_pool, run_tasks
-from .tasks import Task, bodies, on_case, tasks_of
+from .tasks import Task, bodies, case_payload, tasks_of
 from .worker import Said
 
 
@@ -253,13 +253,9 @@ def _time_frames(
     first = {case.mesh: case for case in reversed(asked) if plan.case_file(case).exists()}
     if not first:
         return
-    items = [on_case(case, plan) for case in reversed(first.values())]
-    payload = {
-        "cache": str(plan.cache.absolute()),
-        "directory": str(plan.directory.absolute()),
-        "decides": _decides(plan),
-        "items": items,
-    }
+    there = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
+    items = [case_payload(case, there) for case in reversed(first.values())]
+    payload = {"directory": str(there.directory), "decides": _decides(plan), "items": items}
     task = Task("times", "times", "times of a frame", payload, frozenset())
     watch(Event("started", task.label))
     for _, said in run_tasks([task], pool, plan.directory.absolute() / "failed", timeout=options.timeout):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ..body.mesh_cache import mesh_path
 from ..study.config import resolved
-from .cache import answer_path, limits_path
+from .cache import answer_path
 from .keys import Wanted, has_weight, level_key
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ class Task:
     Attributes
     ----------
     id : its key
-    kind : which function of `vdmbench.work.worker` does it: "mesh", "level", "answers", "limits" or "case"
+    kind : which function of `vdmbench.work.worker` does it: "mesh", "level", "answers", "case" or "times"
     label : what to call it
     payload : what that function is given, plain JSON
     needs : ids of the tasks to be done before
@@ -88,85 +88,50 @@ def _bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
 
 def tasks_of(plan: Plan, cases: Sequence[PlannedCase], run: str) -> list[Task]:
     """The tasks that these cases need and whose files are not there, each after those that it needs."""
-    cache = str(plan.cache)
     tasks: list[Task] = []
     there: dict[str, str] = {}  # file's key -> task that makes it
 
-    def add(
-        kind: str,
-        identity: str,
-        label: str,
-        payload: Mapping[str, Any],
-        needs: Iterable[str],
-        case: PlannedCase | None = None,
-    ) -> str:
+    def add(kind: str, identity: str, label: str, of: PlannedCase, needs: Iterable[str], **own: Any) -> None:
         made = frozenset(there[need] for need in needs if need in there)
-        tasks.append(Task(identity, kind, label, {"cache": cache, "run": run, **payload}, made, case))
-        return identity
+        payload = case_payload(of, plan) | {"run": run} | own
+        tasks.append(Task(identity, kind, label, payload, made, of if kind == "case" else None))
 
+    on_mesh = {case.mesh: case for case in reversed(cases)}
     for mesh in plan.missing_meshes(cases):
-        of = next(case for case in cases if case.mesh == mesh.key)
-        there[mesh.key] = add("mesh", f"mesh {mesh.key}", mesh.label, _on_mesh(of, plan), ())
+        there[mesh.key] = f"mesh {mesh.key}"
+        add("mesh", there[mesh.key], mesh.label, on_mesh[mesh.key], ())
     found = bodies(plan, cases)
     for mesh_key, level in dict.fromkeys((body.mesh, k) for body in found for k in range(1, body.level + 1)):
         key = level_key(mesh_key, level)
         if not plan.has(mesh_path(plan.cache, key)):
-            of = next(case for case in cases if case.mesh == mesh_key)
             label = f"{plan.meshes[mesh_key].label}, refined" + (f" {level} times" if level > 1 else "")
-            payload = _on_mesh(of, plan) | {"level": level}
-            needs = [level_key(mesh_key, k) for k in range(level)]
-            there[key] = add("level", f"mesh {key}", label, payload, needs)
+            coarser = [level_key(mesh_key, k) for k in range(level)]
+            add("level", f"mesh {key}", label, on_mesh[mesh_key], coarser, level=level)
+            there[key] = f"mesh {key}"
     for body in found:
-        payload = _on_mesh(body.asked[0].case, plan) | {
-            "name": body.name,
-            "level": body.level,
-            "asked": [
-                {"key": asked.key, "study": resolved(asked.case.study), "factors": asked.factors}
-                for asked in body.asked
-            ],
-        }
+        asked = [
+            {"key": one.key, "study": resolved(one.case.study), "factors": one.factors} for one in body.asked
+        ]
         needs = [level_key(body.mesh, k) for k in range(body.level + 1)]
-        identity = add("answers", body.id, _answers_label(body), payload, needs)
-        there |= {asked.key: identity for asked in body.asked}
-    for case in cases:
-        if case.limits is not None and not plan.has(limits_path(plan.cache, case.limits)):
-            payload = _on_mesh(case, plan) | {"study": resolved(case.study), "limits": case.limits}
-            label = f"limits of {case.label or plan.study.study.name}"
-            there[case.limits] = add("limits", f"limits {case.limits}", label, payload, [case.mesh])
+        own = {"name": body.name, "level": body.level, "asked": asked}
+        add("answers", body.id, _answers_label(body), body.asked[0].case, needs, **own)
+        there |= {one.key: body.id for one in body.asked}
     for case in cases:
         keys = [key for part in case.parts for want in part.wanted for key in want.answers]
-        label = case.label or plan.study.study.name
-        add("case", case.hash, label, on_case(case, plan), [case.mesh, case.limits or "", *keys], case)
+        add("case", case.hash, case.label or plan.study.study.name, case, [case.mesh, *keys])
     return tasks
 
 
-def _on_mesh(case: PlannedCase, plan: Plan) -> dict[str, Any]:
+def case_payload(case: PlannedCase, plan: Plan) -> dict[str, Any]:
+    """What a task is told of a case and its mesh, plain JSON."""
+    mesh = plan.meshes[case.mesh]
     return {
-        "mesh": case.mesh,
-        "volume": plan.meshes[case.mesh].volume,
-        "file_hash": plan.meshes[case.mesh].file_hash,
-        "study": resolved(case.study),
-    }
-
-
-def on_case(case: PlannedCase, plan: Plan) -> dict[str, Any]:
-    """What the task of a case is given."""
-    return _on_mesh(case, plan) | {
-        "id": case.hash,
-        "label": case.label,
-        "swept": dict(case.swept),
-        "swept_units": dict(case.swept_units),
+        "cache": str(plan.cache),
         "path": str(plan.case_file(case)),
-        "wanted": [asdict(want) for want in case.wanted],
-        "limits": case.limits,
-        "variations": [
-            [
-                {"wanted": asdict(want), "times": part.times, "values": dict(part.values)}
-                for part in variation
-                for want in part.wanted
-            ]
-            for variation in case.variations
-        ],
+        "fresh": plan.fresh,
+        "case": case.as_json(),
+        "volume": mesh.volume,
+        "file_hash": mesh.file_hash,
     }
 
 

@@ -25,13 +25,14 @@ from ..machine import processor_name
 from ..measures.reference import level_scene, restricted
 from ..models import Prepared
 from ..scene.scene import Scene, build_scene
+from ..store.plain import typed
 from ..store.run_directory import add_times
 from ..study.errors import InputError, install_line
 from ..study.schema import Study
-from .cache import answer_path, limits_path, read_answer, steps_of, write_answer, write_limits
+from .cache import answer_path, read_answer, steps_of, write_answer
 from .case import make_case
 from .keys import level_key
-from .small_strain import small_strain_limits
+from .plan import PlannedCase
 
 # what C++, Rust, the system and its loader of libraries say where memory runs out
 OUT_OF_MEMORY = re.compile(
@@ -85,7 +86,7 @@ def _mesh(payload: Payload) -> None:
 
 def _level(payload: Payload) -> None:
     """Put the refinement of a mesh into the cache."""
-    path = mesh_path(Path(payload["cache"]), level_key(payload["mesh"], payload["level"]))
+    path = mesh_path(Path(payload["cache"]), level_key(payload["case"]["mesh"], payload["level"]))
     write_level(path, *refine(_meshes(payload, payload["level"] - 1).finest))
 
 
@@ -130,14 +131,8 @@ def _scenes(asked: Sequence[Payload], meshes: Hierarchy) -> dict[str, Scene]:
     return scenes
 
 
-def _limits(payload: Payload) -> None:
-    """The small-strain limits of one case."""
-    found = small_strain_limits(Study.model_validate(payload["study"]), _meshes(payload, 0).finest)
-    write_limits(limits_path(Path(payload["cache"]), payload["limits"]), found)
-
-
 def _case(payload: Payload) -> None:
-    """One case: results from answers, metrics, one file."""
+    """One case: results from answers, limits, metrics, one file."""
     make_case(payload, partial(_meshes, payload))
 
 
@@ -155,23 +150,22 @@ def _times(payload: Payload) -> None:
     for item in payload["items"]:
         if not decides and time.perf_counter() > end:
             break
-        study = Study.model_validate(item["study"])
-        mesh = _meshes({**payload, **item}, 0).finest
-        slow = set() if decides else _slow(item, Path(payload["cache"]))
-        names = [name for name in study.study.models if name not in slow]
-        about = {"case": item["label"], "processor": processor_name()}
-        times = frame_times(build_scene(study, mesh), names, rounds, budget)
-        found[item["mesh"]] = {name: dataclasses.replace(one, **about) for name, one in times.items()}
+        case = typed(PlannedCase, item["case"])
+        slow = set() if decides else _slow(case, Path(item["cache"]))
+        names = [name for name in case.study.study.models if name not in slow]
+        about: Any = {"case": case.label, "processor": processor_name()}
+        times = frame_times(build_scene(case.study, _meshes(item, 0).finest), names, rounds, budget)
+        found[case.mesh] = {name: dataclasses.replace(one, **about) for name, one in times.items()}
     add_times(Path(payload["directory"]), found)
 
 
-def _slow(item: Payload, cache: Path) -> set[str]:
+def _slow(case: PlannedCase, cache: Path) -> set[str]:
     """Models of a case whose set-up and one load step take longer than `SLOW`."""
     found = set()
-    for want in item["wanted"]:
-        answer = read_answer(answer_path(cache, want["answers"][0]))
+    for want in case.wanted:
+        answer = read_answer(answer_path(cache, want.answers[0]))
         if answer is None or not answer.seconds_setup + answer.seconds_per_step.max() < SLOW:
-            found.add(want["name"])
+            found.add(want.name)
     return found
 
 
@@ -179,19 +173,18 @@ _KINDS: dict[str, Callable[[Payload], None]] = {
     "mesh": _mesh,
     "level": _level,
     "answers": _answers,
-    "limits": _limits,
     "case": _case,
     "times": _times,
 }
 
 
 def _geometry(payload: Payload) -> tuple[Any, Path]:
-    return Study.model_validate(payload["study"]).geometry, Path(payload["cache"])
+    return Study.model_validate(payload["case"]["study"]).geometry, Path(payload["cache"])
 
 
 def _meshes(payload: Payload, level: int) -> Hierarchy:
     """The case's mesh and its refinements up to a level; made again where the cache has lost them."""
-    found = _stored_meshes(payload["cache"], payload["mesh"], level)
+    found = _stored_meshes(payload["cache"], payload["case"]["mesh"], level)
     if found is None:
         _stored_meshes.cache_clear()
         found = refined(mesh_from_cache(*_geometry(payload), volume=payload["volume"]), level)

@@ -81,8 +81,8 @@ def test_check_puts_each_place_of_a_region_on_the_mesh(tmp_path: Path) -> None:
 def test_sensitivities_by_hand(tmp_path: Path, cache: Path) -> None:
     """Half of 1/0.9 less 1/1.1 for the modulus, its own share for the force, and two solves for the ratio."""
     planned = plan(tmp_path, cache)
-    assert planned_work(planned, "fem-linear") == {"set-ups": 2, "solves": 2}, "force and modulus come free"
-    assert planned_work(planned, "vdm-vector") == {"set-ups": 1, "solves": 1}, "it reads no Poisson ratio"
+    assert planned_work(planned, "fem-linear") == {"set-ups": 2, "solves": 4}, "a force comes free"
+    assert planned_work(planned, "vdm-vector") == {"set-ups": 3, "solves": 3}, "it reads no Poisson ratio"
     (case,) = run(planned)
     scene = scene_of(planned, planned.cases[0])
     own, other = (
@@ -119,22 +119,6 @@ def test_the_refined_reference_has_the_spread_of_its_own_mesh(tmp_path: Path, ca
     assert_allclose(bends[1], bends[0], rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", [n for n, m in models.all_models().items() if m.one_over_modulus])
-def test_a_model_that_says_so_goes_with_one_over_the_modulus(tmp_path: Path, cache: Path, name: str) -> None:
-    planned = plan_of(
-        tmp_path,
-        cache,
-        tables=ONE_LOAD,
-        study={"name": "test", "models": [name]},
-        gravity={"acceleration": [0, 0, -0.1]},
-    )
-    scene = scene_of(planned, planned.cases[0])
-    stiff = dataclasses.replace(scene, tissue=scene.tissue.model_copy(update={"youngs_modulus": 10000.0}))
-    soft, hard = (models.run_model(s, name).displacement for s in (scene, stiff))
-    assert np.abs(soft).max() > 0
-    assert_allclose(hard, soft / 2, rtol=0, atol=1e-6 * np.abs(soft).max())
-
-
 @pytest.mark.parametrize(("homogeneous", "set_ups"), [([], 3), (["fem-p1"], 1)])
 def test_an_inclusion_keeps_its_own_modulus(
     tmp_path: Path, cache: Path, homogeneous: list[str], set_ups: int
@@ -148,34 +132,6 @@ def test_an_inclusion_keeps_its_own_modulus(
         inclusions=[{**inclusion, "youngs_modulus": 5e4}],
     )
     assert planned_work(planned)["set-ups"] == set_ups
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"vdm": {"surface_tension": 3.0}},
-        {"environment": {"pressure": 10.0}},
-        {
-            "constraints": [
-                *ONE_LOAD["constraints"],
-                {"name": "bed", "kind": "elastic", "region": "base", "stiffness": 1e4},
-            ]
-        },
-        {
-            "constraints": [
-                *ONE_LOAD["constraints"][1:],
-                {"kind": "constrained", "region": "base", "displacement": [0.0, 0.0, 0.001]},
-            ]
-        },
-    ],
-)
-def test_what_does_not_go_with_one_over_the_modulus_is_solved(
-    tmp_path: Path, cache: Path, changes: dict[str, Any]
-) -> None:
-    planned = plan(
-        tmp_path, cache, {E: {"sd": 500.0}}, study={"name": "test", "models": ["vdm-vector"]}, **changes
-    )
-    assert planned_work(planned)["set-ups"] == 3
 
 
 def test_samples_spread_as_their_inputs_do(tmp_path: Path, cache: Path) -> None:
