@@ -13,12 +13,10 @@ import dataclasses
 import json
 import math
 import os
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -34,12 +32,12 @@ from .machine import json_text, usable_processors, write_atomically
 from .measures.metrics import DEFORMATION, VECTOR, History, evaluate
 from .measures.reference import FailedReferenceError, level_scene, own_error, require_converged, restricted
 from .measures.uncertainty import is_resolved
-from .models.frames import FACTORS, Round, one_round
+from .models.frames import FACTORS, Round, in_turns
 from .report.blocks import Cell, Column, Facts, Figure, Figures, Section, Table, Text
 from .report.document import encoded, html_document
 from .report.plots import Plot, colour, draw, marker, percent_axis, time_ticks
-from .scene.result import ModelResult
 from .scene.scene import Scene, build_scene
+from .store.plain import typed
 from .study.config import expand, with_mesh_size
 from .study.errors import InputError
 from .study.schema import Study
@@ -50,6 +48,7 @@ from .work.provenance import provenance
 # --- what was measured ---
 
 SAME = 1.5  # times up to which two costs count as the same: runs differ by as much
+CLOSE = 0.1  # error up to which an answer is close
 FAR_OFF = 0.5  # error from which on an answer is no answer: that of a body that does not move is 1
 _DIGITS = 1e-4  # relative difference of errors that are the same answer's
 TIMES = ("setup", "frame_all", "frame_local", "columns", "recut")  # (R,) of an entry [s]
@@ -156,15 +155,12 @@ def answers(bench: Bench) -> list[dict[str, str]]:
     """
     finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
     asked: dict[str, Callable[[Sequence[Entry]], str]] = {}
-    for limit in (0.1, 0.25):
-        for what, cost in _COSTS.items():
-            asked[f"Fastest {what} at an error of at most {100 * limit:g} %"] = partial(
-                _fastest, limit=limit, cost=cost
-            )
+    for what, cost in _COSTS.items():
+        asked[f"Fastest {what} at an error of at most {100 * CLOSE:g} %"] = partial(_fastest, cost=cost)
     for budget in (1e-3, 1 / 60):  # a frame of haptics and one of graphics
-        most = f"Most accurate at {seconds(budget)} a frame of a contact"
-        asked[most] = partial(_most_accurate, budget=budget, cut=False)
-        asked[f"{most} with a re-cut in each"] = partial(_most_accurate, budget=budget, cut=True)
+        asked[f"Most accurate at {seconds(budget)} a frame of a contact"] = partial(
+            _most_accurate, budget=budget
+        )
     for what, cost in _COSTS.items():
         asked[f"Surface models whose {what} no elements as close match"] = partial(_unmatched, cost=cost)
     usable = {}
@@ -181,25 +177,23 @@ def answers(bench: Bench) -> list[dict[str, str]]:
     ]
 
 
-def _fastest(entries: Sequence[Entry], *, limit: float, cost: Callable[[Entry], float]) -> str:
+def _fastest(entries: Sequence[Entry], *, cost: Callable[[Entry], float]) -> str:
     """All surely within that take about the same, with the time of the fastest; and as fast ones perhaps within."""
     timed = sorted((e for e in entries if math.isfinite(cost(e))), key=lambda e: (cost(e), e.model))
-    sure = [e for e in timed if e.error + e.bar <= limit]
+    sure = [e for e in timed if e.error + e.bar <= CLOSE]
     least = cost(sure[0]) if sure else math.inf
     alike = [e.model for e in sure if cost(e) <= SAME * least]
     perhaps = [
         e.model
         for e in timed
-        if not (e.error + e.bar <= limit or e.error - e.bar > limit) and cost(e) <= SAME * least
+        if not (e.error + e.bar <= CLOSE or e.error - e.bar > CLOSE) and cost(e) <= SAME * least
     ]
     return _answer([*alike, seconds(least)] if sure else [], perhaps)
 
 
-def _most_accurate(entries: Sequence[Entry], *, budget: float, cut: bool) -> str:
+def _most_accurate(entries: Sequence[Entry], *, budget: float) -> str:
     """The one of least error and those of the same; undecided where others are closer to it than the bar."""
-    within = [
-        e for e in entries if median(e.frame_local) <= budget and not (cut and median(e.recut) > budget)
-    ]
+    within = [e for e in entries if median(e.frame_local) <= budget]
     if not within:
         return "none"
     best = min(within, key=lambda e: e.error)
@@ -322,34 +316,6 @@ BUDGET = 10.0  # seconds after which a model is measured no further on one mesh
 COUNTS = ("dofs", "tetrahedra", "columns", "matrix_bytes", "coarse_tetrahedra")
 
 
-@dataclass
-class _Tally:
-    """What one model has been measured to take so far."""
-
-    times: list[dict[str, float]] = field(default_factory=list)  # of each round, by the names of `TIMES`
-    peak: list[float] = field(default_factory=list)
-    spent: float = 0.0
-    result: ModelResult | None = None
-
-    def add(self, taken: Round) -> None:
-        """Another round."""
-        self.result = taken.result
-        self.peak.append(float(taken.result.peak_bytes))
-        self.times.append(
-            {
-                "setup": taken.setup,
-                "frame_all": taken.everywhere,
-                "frame_local": taken.contact,
-                "columns": taken.columns,
-                "recut": taken.setup + taken.direct,
-            }
-        )
-
-    def series(self) -> dict[str, Array]:
-        """The times as (R,) arrays."""
-        return {name: np.array([times.get(name, np.nan) for times in self.times]) for name in TIMES}
-
-
 def measure(
     bodies: Mapping[str, Study],
     cache: Path,
@@ -433,20 +399,25 @@ def _on_mesh(body: str, study: Study, scene: Scene, names: Sequence[str], rounds
     require_converged(f"{YARDSTICK} on the refined mesh", finest)
     bars = own_error(surface, [finest, own], FACTORS)
     reference = History(finest.displacement, finest.reaction_force, FACTORS)
-    tallies = {name: _Tally() for name in names}
-    for _ in range(rounds):
-        for name, tally in tallies.items():
-            if tally.spent < BUDGET:
-                start = time.perf_counter()
-                tally.add(one_round(contact, name))
-                tally.spent += time.perf_counter() - start
-            else:
-                tally.times.append({})
-    yard = tallies.get(YARDSTICK)
+    taken = in_turns(scene, names, rounds, BUDGET)
+    yard = _series(taken.get(YARDSTICK, []), rounds)
+    bar = bars["gci:relative_l2_displacement_error"]
     return [
-        _entry(name, tally, yard, scene, body, surface, reference, bars["gci:relative_l2_displacement_error"])
-        for name, tally in tallies.items()
+        _entry(name, of_one, _series(of_one, rounds), yard, scene, body, surface, reference, bar)
+        for name, of_one in taken.items()
     ]
+
+
+def _series(taken: Sequence[Round], rounds: int) -> dict[str, Array]:
+    """The times by the names of `TIMES`, (R,) of all rounds: NaN where a model had no more."""
+    times = {
+        "setup": [one.setup for one in taken],
+        "frame_all": [one.everywhere for one in taken],
+        "frame_local": [one.contact for one in taken],
+        "columns": [one.columns for one in taken],
+        "recut": [one.setup + one.direct for one in taken],
+    }
+    return {name: np.array([*found, *[np.nan] * (rounds - len(found))]) for name, found in times.items()}
 
 
 def _with_history(study: Study) -> Study:
@@ -457,23 +428,23 @@ def _with_history(study: Study) -> Study:
 
 def _entry(
     name: str,
-    tally: _Tally,
-    yard: _Tally | None,
+    taken: Sequence[Round],
+    times: Mapping[str, Array],
+    yardstick: Mapping[str, Array],
     scene: Scene,
     body: str,
     surface: Surface,
     reference: History,
     bar: float,
 ) -> Entry:
-    result = tally.result
-    if result is None:
+    if not taken:
         raise ValueError("a benchmark needs one round or more")
+    result = taken[-1].result
     failed = [status for status in result.status if not status.ok]
     errors = {}
     if not failed:
         found = evaluate(surface, History(result.displacement, result.reaction_force, FACTORS), reference)
         errors = {metric: float(values[-1]) for metric, values in found.items()}
-    times, yardstick = tally.series(), (yard or _Tally([{}] * len(tally.times))).series()
     counts = {key: float(result.parameters[key]) for key in COUNTS if key in result.parameters}
     return Entry(
         body=body,
@@ -483,7 +454,7 @@ def _entry(
         **times,
         ratio_setup=times["setup"] / yardstick["setup"],
         ratio_frame=times["frame_local"] / yardstick["frame_local"],
-        peak_bytes=float(np.median(tally.peak)),
+        peak_bytes=float(np.median([one.result.peak_bytes for one in taken])),
         error=errors.get(VECTOR, np.nan),
         deformation_error=errors.get(DEFORMATION, np.nan),
         bar=bar,
@@ -498,22 +469,15 @@ def _entry(
 
 def write_bench(path: Path, bench: Bench) -> None:
     """Write one JSON file, null for what was not measured. Raises OSError."""
-    write_atomically(path, json_text(dataclasses.asdict(bench), indent=1).encode())
+    write_atomically(path, json_text(bench, indent=1).encode())
 
 
 def read_bench(path: Path) -> Bench:
     """Read it back. Raises OSError, and ValueError where it is no benchmark's file."""
     try:
-        stored = json.loads(path.read_bytes())
-        return Bench(stored["machine"], [_read_entry(entry) for entry in stored["entries"]])
-    except (ValueError, TypeError, KeyError) as error:
+        return typed(Bench, json.loads(path.read_bytes()))
+    except ValueError as error:
         raise ValueError(f"{path}: not a benchmark's file ({error}); run vdmbench bench again") from error
-
-
-def _read_entry(stored: Mapping[str, Any]) -> Entry:
-    arrays = {name: np.array(stored[name], dtype=float) for name in (*TIMES, "ratio_setup", "ratio_frame")}
-    numbers = {key: math.nan for key, value in stored.items() if value is None}
-    return Entry(**{**stored, **numbers, **arrays})
 
 
 # --- the page ---

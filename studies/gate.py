@@ -13,20 +13,19 @@ import math
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 from xml.etree import ElementTree
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-
-from .machine import write_atomically
+from .machine import json_text, write_atomically
 from .measures.case import CaseResult, Run
 from .measures.frame import at_full_load, frame
 from .measures.metrics import METRICS, Sense
 from .measures.uncertainty import SIGNED
 from .store.hdf5 import StoreError
+from .store.plain import typed
 from .study.kinds import safe_name
 from .verdict.acceptance import WORDS
 from .verdict.digest import digest_of
@@ -64,21 +63,16 @@ class BaselineError(ValueError):
     """A baseline that cannot be read, written or used; the message says which and what to do."""
 
 
-class _Stored(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
-
-
-_Number = Annotated[float, Field(allow_inf_nan=False)]
-
-
-class Measure(_Stored):
+@dataclass(frozen=True)
+class Measure:
     """A metric as it was accepted; its unit is "1" where it has none."""
 
     unit: str
     version: int
 
 
-class Entry(_Stored):
+@dataclass(frozen=True)
+class Entry:
     """One accepted case: inputs that differ from the baseline's, None where not given; model -> metric -> value.
 
     A value is None where the model had none.
@@ -86,24 +80,25 @@ class Entry(_Stored):
 
     inputs: dict[str, Any]
     reference: str | None
-    values: dict[str, dict[str, _Number | None]]
+    values: Mapping[str, Mapping[str, float | None]]
 
 
-class Baseline(_Stored):
+@dataclass(frozen=True, kw_only=True)
+class Baseline:
     """What was accepted of a study, when and why; `inputs` by their keys (SI), cases by their labels.
 
     `verdicts` holds the word of each family under the limits of `acceptance`; older baselines have none.
     """
 
-    schema_version: int = Field(SCHEMA, alias="schema")
+    schema: int = SCHEMA
     study: str
     reason: str = ""
     date: str = ""
     inputs: dict[str, Any]
     models: dict[str, str]
     metrics: dict[str, Measure]
-    acceptance: dict[str, Any] = {}
-    verdicts: dict[str, str] = {}
+    acceptance: dict[str, Any] = field(default_factory=dict)
+    verdicts: dict[str, str] = field(default_factory=dict)
     cases: dict[str, Entry]
 
     def inputs_of(self, case: str) -> dict[str, Any]:
@@ -253,13 +248,9 @@ def read_baseline(path: Path) -> Baseline:
     if schema > SCHEMA:
         raise BaselineError(f"{path}: schema {schema} is newer than this program's {SCHEMA}; update vdmbench")
     try:
-        return Baseline.model_validate_json(path.read_bytes())
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise StoreError(
-            f"{path}: not a baseline ({place}: {first['msg']}); restore it, or accept again: {again}"
-        ) from None
+        return typed(Baseline, json.loads(path.read_bytes()))
+    except ValueError as error:
+        raise StoreError(f"{path}: not a baseline ({error}); restore it, or accept again: {again}") from None
 
 
 def _schema(path: Path) -> int | None:
@@ -299,7 +290,7 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
         if name not in METRICS or METRICS[name].version != series.version:
             raise BaselineError(f"{name} is of another version in this run: run the study again, then accept")
     baseline = baseline_of(run, reason.strip())
-    write_atomically(path, baseline.model_dump_json(by_alias=True, indent=1).encode() + b"\n")
+    write_atomically(path, json_text(baseline, indent=1).encode() + b"\n")
     return baseline
 
 

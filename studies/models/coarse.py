@@ -199,18 +199,31 @@ class CoarseProblem:
         self._seconds = time.perf_counter() - start
 
     def solve(self, loads: Sequence[SurfaceLoad]) -> Solution:
-        """One step per load, independent of each other."""
-        scene, problem, tissue = self._scene, self.problem, self._scene.tissue
-        frames = [_frame(scene, problem, self._transfer, load) for load in loads]
+        """One step per load, independent of each other and solved together."""
+        scene, problem, tissue, start = self._scene, self.problem, self._scene.tissue, time.perf_counter()
+        mesh, interpolation, count = problem.mesh, self._transfer.interpolation, len(loads)
+        no_pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
+        coarse = [Load(no_pressure, one.prescribed[self._transfer.nearest], one.gravity) for one in loads]
+        forces = nodal_forces(mesh, coarse, problem.density)
+        for own, load in zip(forces, loads, strict=True):
+            own += interpolation.T @ (load.contact_force + load.dead_force)
+        fields = problem.solve_nodal(forces, prescribed_nodes(mesh, coarse))
+        displacement = np.array([interpolation @ u for u in fields.displacement])
+        displacement[:, scene.held] = [load.prescribed[scene.held] for load in loads]
+        work = ((forces + fields.reaction) * fields.displacement).sum(axis=(1, 2))
+        residual = np.asarray(fields.residual)
         return Solution(
-            displacement=np.array([frame.displacement for frame in frames]),
-            fluid_pressure=np.array([frame.pressure for frame in frames]),
-            reaction_force=np.array([frame.reaction for frame in frames]),
-            energy=np.array([frame.energy for frame in frames]),
-            iterations=np.zeros(len(frames), dtype=np.int64),
-            status=tuple(frame.status for frame in frames),
+            displacement=displacement,
+            fluid_pressure=problem.mean_pressure(fields),
+            reaction_force=np.array([_reaction(scene, problem, nodal) for nodal in fields.reaction]),
+            energy=0.5 * work,
+            iterations=np.zeros(count, dtype=np.int64),
+            status=tuple(
+                CONVERGED if one <= problem.solver.tolerance else _not_converged(one)
+                for one in residual.tolist()
+            ),
             seconds_setup=self._seconds,
-            seconds_per_step=np.array([frame.seconds for frame in frames]),
+            seconds_per_step=np.full(count, (time.perf_counter() - start) / count),
             parameters={
                 "youngs_modulus": tissue.youngs_modulus,
                 "poisson_ratio": tissue.poisson_ratio,
@@ -220,50 +233,10 @@ class CoarseProblem:
                 "dofs": float(problem.system.size),
             },
             scalars={
-                "relative_residual": np.array([frame.residual for frame in frames]),
-                **(
-                    {"condition_estimate": np.full(len(frames), problem.condition)} if scene.condition else {}
-                ),
+                "relative_residual": residual,
+                **({"condition_estimate": np.full(count, problem.condition)} if scene.condition else {}),
             },
         )
-
-
-@dataclass(frozen=True)
-class _Frame:
-    displacement: Array
-    pressure: float
-    reaction: Array
-    energy: float
-    residual: float
-    status: Status
-    seconds: float
-
-
-def _frame(scene: Scene, problem: LinearProblem, transfer: Transfer, load: SurfaceLoad) -> _Frame:
-    start = time.perf_counter()
-    mesh = problem.mesh
-    coarse = Load(
-        np.zeros((len(mesh.triangles), len(facet_quadrature()[1]))),
-        load.prescribed[transfer.nearest],
-        load.gravity,
-    )
-    forces = nodal_forces(mesh, [coarse], problem.density)
-    forces[0] += transfer.interpolation.T @ (load.contact_force + load.dead_force)
-    fields = problem.solve_nodal(forces, prescribed_nodes(mesh, [coarse]))
-    displacement = np.asarray(transfer.interpolation @ fields.displacement[0])
-    displacement[scene.held] = load.prescribed[scene.held]
-    seconds = time.perf_counter() - start
-    work = np.vdot(forces, fields.displacement) + np.vdot(fields.reaction, fields.displacement)
-    residual = float(fields.residual[0])
-    return _Frame(
-        displacement=displacement,
-        pressure=float(problem.mean_pressure(fields)[0]),
-        reaction=_reaction(scene, problem, fields.reaction[0]),
-        energy=0.5 * float(work),
-        residual=residual,
-        status=CONVERGED if residual <= problem.solver.tolerance else _not_converged(residual),
-        seconds=seconds,
-    )
 
 
 def _reaction(scene: Scene, problem: LinearProblem, nodal: Array) -> Array:

@@ -73,6 +73,18 @@ class Round:
 
 def frame_times(scene: Scene, names: Sequence[str], rounds: int, budget: float) -> dict[str, FrameTimes]:
     """Frames of several models on one scene, in turns; a model is measured no further after `budget` seconds."""
+    return {
+        name: FrameTimes(
+            setup=np.array([each.setup for each in taken]),
+            contact=np.array([each.contact for each in taken]),
+            everywhere=np.array([each.everywhere for each in taken]),
+        )
+        for name, taken in in_turns(scene, names, rounds, budget).items()
+    }
+
+
+def in_turns(scene: Scene, names: Sequence[str], rounds: int, budget: float) -> dict[str, list[Round]]:
+    """Model -> its rounds, the first of as many; fewer where they took more than `budget` seconds."""
     contact = dataclasses.replace(scene, load_factors=FACTORS, condition=False)
     found: dict[str, list[Round]] = {name: [] for name in names}
     spent = dict.fromkeys(names, 0.0)
@@ -84,14 +96,7 @@ def frame_times(scene: Scene, names: Sequence[str], rounds: int, budget: float) 
                 start = time.perf_counter()
                 found[name].append(one_round(contact, name))
                 spent[name] += time.perf_counter() - start
-    return {
-        name: FrameTimes(
-            setup=np.array([each.setup for each in taken]),
-            contact=np.array([each.contact for each in taken]),
-            everywhere=np.array([each.everywhere for each in taken]),
-        )
-        for name, taken in found.items()
-    }
+    return found
 
 
 def one_round(contact: Scene, name: str) -> Round:

@@ -159,7 +159,8 @@ def read_case(
     """
     with Stored(path, SCHEMA) as file:
         try:
-            if expected not in (None, file.attribute("case", "hash")):
+            names["hash"] = file.attribute("case", "hash")
+            if expected not in (None, names["hash"]):
                 raise ValueError("it holds another case")
             return _read_case(file, fields, frames or {}, names)
         except UNREADABLE as error:
@@ -185,7 +186,7 @@ def _read_case(
         for name, keys in about["metrics"].items()
     }
     given = {"load_factors": factors, "models": models, "metrics": metrics}
-    return typed(CaseResult, about, hash=file.attribute("case", "hash"), **names, **on_nodes, **given)
+    return typed(CaseResult, about, **names, **on_nodes, **given)
 
 
 def _read_fields(file: Stored, about: Mapping[str, Any], n_steps: int) -> dict[str, Any]:

@@ -12,7 +12,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.bodies import shaped
-from tests.command import vdmbench, write_study
 from tests.work import shared_work
 from tests.work.shared_work import TABLES, plan_of
 from vdmbench import models
@@ -21,7 +20,6 @@ from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.report.rebuild import rebuild
 from vdmbench.study.errors import StudyError
 from vdmbench.study.registry import Size
-from vdmbench.work import explain
 from vdmbench.work.explain import summary
 from vdmbench.work.run import Options, run_plan
 
@@ -148,24 +146,3 @@ def test_finite_strain_declares_the_memory_that_it_takes(tetrahedra: float, meas
     law = models.find("fem")[0].memory
     assert law is not None
     assert 130e6 + law(Size(0.0, tetrahedra), "linear") == pytest.approx(1e6 * measured, rel=0.25, abs=0)
-
-
-@pytest.mark.parametrize(("times", "ends"), [(0.5, 0), (1.5, 0), (4.9, 2)])
-def test_what_takes_more_memory_than_there_is_is_doubted_and_five_times_as_much_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, times: float, ends: int
-) -> None:
-    monkeypatch.setattr(explain, "machine_memory", lambda: 25e9)
-    model = dataclasses.replace(
-        models.find("vdm-vector")[0], name="theirs", benched=(), memory=lambda _size, _solver: times * 25e9
-    )
-    monkeypatch.setitem(models.all_models(), "theirs", model)
-    write_study(tmp_path, a=('"vdm-paper"', '"vdm-paper", "theirs"'))
-    for verb, code in (("check", ends), ("plan", 0)):
-        found = vdmbench(verb, "small.toml", cwd=tmp_path)
-        told = " ".join((found.stdout + found.stderr).split())
-        assert found.returncode == code
-        there = times > 2 or (times > 1 and verb == "check")
-        assert (f"would take about {times * 25:,.0f} GB, and this machine has 25" in told) == there
-    if ends:
-        assert "will be refused: theirs on a mesh" in told
-        assert vdmbench("run", "small.toml", cwd=tmp_path).returncode == ends

@@ -58,7 +58,6 @@ def test_models_take_turns_and_run_and_bench_measure_by_one_function(
         return real(scene, name)  # type: ignore[arg-type]
 
     monkeypatch.setattr(frames, "one_round", seen)
-    monkeypatch.setattr(bench, "one_round", seen)
     plan = plan_of(tmp_path / "run", cache, **LIMITED)
     do_cases(plan)
     timed(plan, plan.cases)
