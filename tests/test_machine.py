@@ -76,7 +76,7 @@ def test_what_is_reserved_and_not_used_does_not_count_against_the_limit() -> Non
 _ANALYSES = """
 import resource
 from scipy.sparse import csc_array, diags_array, eye_array, kron, tril
-from fem_reference.factorisation import analyse
+from fem_reference.factorisation import Analysis
 from fem_reference.memory import _data_bytes
 from vdmbench.machine import limit_memory
 
@@ -84,7 +84,7 @@ line, one = diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(20, 20)), 
 cube = kron(kron(line, one), one) + kron(kron(one, line), one) + kron(kron(one, one), line)
 limit_memory(8_000_000_000)
 room = resource.getrlimit(resource.RLIMIT_DATA)[0] - _data_bytes()
-kept = analyse(csc_array(tril(cube)))
+kept = Analysis(csc_array(tril(cube)))
 print(room - (resource.getrlimit(resource.RLIMIT_DATA)[0] - _data_bytes()))
 """
 
