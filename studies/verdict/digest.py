@@ -150,13 +150,17 @@ class Digest:
         """The frame of the run; see `vdmbench.measures.frame`."""
         return frame(self.run)
 
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return len(self.cases), max((len(case.load_factors) for case in self.cases), default=0)
+
     @cached_property
     def _histories(self) -> dict[tuple[str, str], tuple[Array, Array]]:
         """(model, metric) -> (C, S) values and (C,) bars at full load; NaN where there is none."""
         table, found = self.table, {}
         number, step = table["case"].map(self.place).to_numpy(dtype=int), table["step"].to_numpy(dtype=int)
         value, bar, full = (table[key].to_numpy() for key in ("value", "bar", "full_load"))
-        shape = len(self.cases), int(step.max(initial=-1)) + 1
+        shape = self._shape
         for key, rows in table.groupby(["model", "metric"], sort=False, observed=True).indices.items():
             found[key] = np.full(shape, math.nan), np.full(shape[0], math.nan)
             found[key][0][number[rows], step[rows]] = value[rows]
@@ -168,7 +172,7 @@ class Digest:
         """(C, S) a metric of every case and step; NaN where there is none."""
         if (model, metric) in self._histories:
             return self._histories[model, metric][0]
-        return np.full((len(self.cases), int(self.full.max(initial=-1)) + 1), math.nan)
+        return np.full(self._shape, math.nan)
 
     @cached_property
     def full(self) -> Index:

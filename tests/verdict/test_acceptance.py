@@ -89,6 +89,14 @@ def test_a_region_restricts_the_largest_difference() -> None:
     assert states(bar, largest_difference=0.00101, region="finger")["largest_difference"] == OPEN
 
 
+def test_a_history_that_comes_back_is_judged_at_its_largest_load() -> None:
+    case = measured_anew(make_case({"vdm-m": 0.08}, steps=(0.5, 1.0, 0.5), subdivisions=2))
+    found = states(case, frame_time=1e-3, largest_difference=1.0, region="finger")
+    assert set(found.values()) == {WITHIN}
+    digest = Digest(make_run([case], acceptance={"frame_time": 1e-3}))
+    assert digest.standing("vdm-m").tolist() == [WITHIN]
+
+
 def test_without_an_answer_every_limit_is_lost() -> None:
     case = measured_anew(make_case({"vdm-m": 0.01}, stopped={"vdm-m": 3}, subdivisions=0))
     digest = Digest(make_run([case]))
