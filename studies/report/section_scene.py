@@ -104,12 +104,6 @@ def _inclusions(case: CaseResult) -> list[Inclusion]:
     return list(case.study.inclusions or ())
 
 
-def _homogeneous(case: CaseResult) -> str:
-    """What is said of the models that answer without the inclusions."""
-    names = case.study.study.homogeneous
-    return f"unknown to {listed(names)}" if names else ""
-
-
 def _scan_words(cases: Sequence[CaseResult]) -> str:
     """How far the bodies are from the surface of the file that they are from, at worst; "" where there is none."""
     if not any("surface_distance_max" in case.mesh_quality and case.study.geometry.path for case in cases):
@@ -153,9 +147,13 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     rows = [("Tissue", ", ".join(part for part in tissue if not part.endswith(" ")))]
     for number, entry in enumerate(_inclusions(case)):
         rows.append(("Inclusion", _inclusion_words(number, entry, case, cases)))
-    shapes = dict.fromkeys(_shape(other) for other in cases)
-    extents = [_lengths(np.ptp(case.points, axis=0))] if len(shapes) == 1 else []
-    rows.append(("Body", ", ".join(filter(None, [listed(filter(None, shapes)), *extents]))))
+    named = [other.study.geometry.shape for other in cases]
+    shapes = dict.fromkeys("from a file" if shape == "file" else shape for shape in named)
+    extents = np.ptp(case.points, axis=0)
+    factor, unit = scale_of("m", extents)
+    lengths = " × ".join(plain(float(length) / factor, 2) for length in extents) + f" {unit}"
+    body = [listed(filter(None, shapes)), lengths if len(shapes) == 1 else ""]
+    rows.append(("Body", ", ".join(filter(None, body))))
     if told := _scan_words(cases):
         rows.append(("Scan", told))
     size = _over(cases, "geometry", "mesh_size", "m")
@@ -189,29 +187,22 @@ def _inclusion_words(number: int, entry: Inclusion, case: CaseResult, cases: Seq
     young = span([one.youngs_modulus for one in same], "Pa")
     ratio = [one.poisson_ratio for one in same if one.poisson_ratio is not None]
     size = f"{plain(2e3 * entry.ball.radius, 2)} mm across" if entry.ball else ""
-    told = (f"Poisson ratio {span(ratio, '1')}" if ratio else "", size, _homogeneous(case))
+    leave_out = case.study.study.homogeneous
+    unknown = f"unknown to {listed(leave_out)}" if leave_out else ""
+    told = (f"Poisson ratio {span(ratio, '1')}" if ratio else "", size, unknown)
     return ", ".join(filter(None, [entry.name, f"Young's modulus {young}", *told]))
-
-
-def _shape(case: CaseResult) -> str:
-    shape = case.study.geometry.shape
-    return "from a file" if shape == "file" else shape
 
 
 def _in_words(
     case: CaseResult, cases: Sequence[CaseResult], name: str, constraint: Constraint, mask: np.ndarray
 ) -> str:
-    across = f"{plain(2e3 * _reach(case.points[mask]), 2)} mm across" if mask.any() else ""
-    nodes = plural(int(mask.sum()), "node")
-    profile = constraint.profile
-    load = _load(name, cases)
+    nodes, profile = case.points[mask], constraint.profile
+    across = ""
+    if len(nodes):
+        middle = (nodes.min(axis=0) + nodes.max(axis=0)) / 2
+        across = f"{plain(2e3 * float(np.linalg.norm(nodes - middle, axis=1).max()), 2)} mm across"
     shape = f"{profile} pressure" if constraint.kind == "contact" and profile else ""
-    return ", ".join(filter(None, [name, load, shape, nodes, across]))
-
-
-def _reach(points: Array) -> float:
-    """Distance of the farthest of some points from their middle [m]."""
-    return float(np.linalg.norm(points - (points.min(axis=0) + points.max(axis=0)) / 2, axis=1).max())
+    return ", ".join(filter(None, [name, _load(name, cases), shape, plural(len(nodes), "node"), across]))
 
 
 def _thrust(case: CaseResult, constraint: Constraint) -> Array | None:
@@ -255,8 +246,3 @@ def _over(cases: Iterable[CaseResult], table: str, key: str, unit: str) -> str:
     """The values of a key of the study over all cases; empty where none has it."""
     values = [getattr(getattr(case.study, table), key, None) for case in cases]
     return span([float(value) for value in values if isinstance(value, int | float)], unit)
-
-
-def _lengths(extents: Array) -> str:
-    factor, unit = scale_of("m", extents)
-    return f"{' × '.join(plain(float(length) / factor, 2) for length in extents)} {unit}"
