@@ -12,6 +12,7 @@ from vdm.parts.body import Parts
 from vdm.parts.caps import CutError, cap
 from vdm.parts.cut import cut, volume
 from vdm.parts.solve import PartsSolver
+from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFactor
 
 Array = np.ndarray
 E, LENGTH, SIDE = 3e4, 0.1, 0.01
@@ -74,7 +75,7 @@ def test_loops_that_no_cap_fills_are_refused() -> None:
     new, facets = cap(np.vstack([ring, 0.4 * ring]), [loop, 24 + loop[::-1]], np.array([0.0, 0.0, 1.0]))
     assert len(new) > 0
     assert len(facets) > 48
-    small = cut(*icosphere(1), 2)
+    small = cut(*icosphere(0), 2)
     assert len(small.parts) == 1
     assert "too small to be cut" in small.refused
 
@@ -110,7 +111,7 @@ def test_forces_are_the_derivative_of_the_energy_and_balance() -> None:
 def test_a_correction_has_the_slope_of_the_state(gravity: tuple[float, float, float]) -> None:
     """What it supplies is what was lacking but for terms of the order of the strain, 5 %, in a body bent far."""
     body, x = bent(clamped(BAR, density=1000.0, gravity=gravity), 4)
-    load, pressure = Load(np.zeros(len(BAR[0]))), np.full(body.n_pressures, 100.0)
+    load, pressure = Load(np.zeros(len(BAR[0]))), np.full(body.n_pressures, 400.0)
     state = body.balance(load, x, pressure)
     change, pushed = body.correction(state, state.lacking, state.gap, np.eye(3))
     way = np.zeros_like(x)
@@ -121,6 +122,28 @@ def test_a_correction_has_the_slope_of_the_state(gravity: tuple[float, float, fl
     assert_allclose(
         (ahead.gap - behind.gap) / 2e-5, -state.gap, rtol=0.0, atol=1e-6 * np.abs(state.gap).max()
     )
+
+
+def test_a_part_that_swells_as_one_costs_nothing() -> None:
+    """The product of rank 2 is P^T S P, and the factor by Woodbury that of the sum."""
+    form = clamped(BAR).formulation
+    assert isinstance(form, BoundaryFormulation)
+    swelling, surface = Swelling.of(form), form.surface
+    arms = surface.points - surface.points.mean(axis=0)
+    g, x = surface.area_vectors.reshape(-1), arms.reshape(-1)
+    without = np.eye(len(x)) - np.outer(x, g) / (3.0 * surface.volume)
+    every = np.arange(len(x))
+    long_way = without.T @ form.matrix @ without
+    assert_allclose(
+        form.matrix + swelling.block(every, every), long_way, rtol=0.0, atol=1e-12 * np.abs(long_way).max()
+    )
+    u = np.random.default_rng(1).normal(size=(len(arms), 3, 2))
+    assert_allclose(swelling.forces(u).reshape(-1, 2), swelling.block(every, every) @ u.reshape(-1, 2))
+    assert np.abs(long_way @ x).max() < 1e-10 * np.abs(form.matrix @ x).max()
+    free = every[len(x) // 4 :]
+    factor = SwollenFactor(DenseFactor(form.matrix[np.ix_(free, free)]), swelling, free)
+    b = np.random.default_rng(2).normal(size=(len(free), 2))
+    assert_allclose(factor.solve(b), np.linalg.solve(long_way[np.ix_(free, free)], b), rtol=1e-7)
 
 
 def test_frames_on_a_kept_slope_are_those_of_one_made_for_each(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,9 @@ def test_warm_steps_equal_each_load_from_rest_in_fewer_iterations(formulation):
         x = solver.formulation.unknown(warm.displacement[k])
         kept = solver.formulation.kept_volume(x, body.at(warm.displacement[k]))
         assert abs(kept / BODY.volume - 1.0) < 1e-12
-    assert warm.iterations[0] == cold[0].iterations[0]
+    assert (
+        abs(warm.iterations[0] - cold[0].iterations[0]) <= 1
+    )  # a slope that is kept serves the next first load
     # where the load goes on; 0.7 of them without the start ahead
     needed = [int(alone.iterations[0]) for alone in cold[1:5]]
     share = 0.8 if formulation == "mass-spring" else 0.7  # 0.73 and up to 0.67

@@ -114,12 +114,12 @@ def test_boundary_elements_and_their_reference_are_compared_where_either_ends(tm
     scene, names = build_scene(study, mesh), ("bem:nonlinear", "fem")
     found = [(Wanted(name, 0, "", "", (), ()), run_model(scene, name)) for name in names]
     places, merged = at_what_was_reached(study, scene, found, lambda _: Hierarchy((mesh,)))
-    first, boundary, reference, last = places.tolist()
+    first, reference, boundary, last = places.tolist()
     assert (first, last) == (1.0, 2.0)
-    assert 1.0 < boundary < reference < 2.0
+    assert 1.0 < reference < boundary < 2.0
     answered = {want.name: [status.ok for status in result.status] for want, result in merged}
-    assert answered == {"bem:nonlinear": [True, True, False, False], "fem": [True, True, True, False]}
-    for place, end in ((1, boundary), (2, reference)):
+    assert answered == {"bem:nonlinear": [True, True, True, False], "fem": [True, True, False, False]}
+    for place, end in ((1, reference), (2, boundary)):
         (factor,) = scene.factors_at(np.array([end]))
         way = build_scene(load_study(_written(tmp_path, [0.1, float(factor)])), mesh)
         for name, (_, result) in zip(names, merged, strict=True):

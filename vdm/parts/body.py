@@ -35,14 +35,14 @@ from vdm.constraints import Load
 from vdm.deformed import DeformableSurface, DeformedSurface
 from vdm.formulations.base import Factor
 from vdm.parts.cut import cut
-from vdm.peers.bem import BoundaryFormulation, DenseFactor
+from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFactor
 from vdm.problem import Problem
 from vdm.solution import Status
 from vdm.solvers.nonlinear import Balance
 from vdm.surface import SurfaceMesh
 
 # rotation within a part [rad] that small strain in its frame bears: half of its square is the strain that it feigns
-MOST_TURN = np.radians(10.0)
+MOST_TURN = np.radians(5.0)
 SAME_TURN = 0.01  # change of a rotation that a correction does not mind: a factor is made anew beyond it
 LEAST_GAIN, ANOTHER_LOAD = (
     0.1,
@@ -196,6 +196,7 @@ class Parts:
             else:
                 own = SurfaceMesh(points[nodes], local.reshape(-1, 3))
                 form = BoundaryFormulation(own, parameters, fixed[nodes], joined[nodes])
+            form.swelling = Swelling.of(form)
             owns = np.zeros(len(nodes), np.bool_)
             on_surface = nodes < surface.n_nodes
             owns[on_surface] = self._owner[nodes[on_surface]] == number
@@ -356,7 +357,7 @@ class Parts:
         stretch = levers.T @ y
         inertia = np.trace(stretch) * np.eye(3) - stretch
         turned = (y @ _TURNED).reshape(-1, 3, 3)
-        stressed = part.form.elastic_forces(np.concatenate([away[:, :, None], turned], axis=2))
+        stressed = part.form.swollen_forces(np.concatenate([away[:, :, None], turned], axis=2))
         vectors = state.area_vectors @ q.T
         pushed = (balance.pressure[number] + acting.weight[part.nodes])[:, None] * vectors
         own = part.nodes[part.owns]
@@ -396,10 +397,13 @@ class Parts:
             total += 0.5 * float(u @ (self._ground @ u))
         return total
 
-    def mean_pressure(self, pressure: Array) -> float:
-        """By volume [Pa]."""
-        volumes = self.volumes[: self.n_parts]
-        return float(pressure[: self.n_parts] @ volumes / volumes.sum())
+    def mean_pressure(self, balance: Balance) -> float:
+        """By volume [Pa]: a part's is that of the tractions, as in one that is not swollen."""
+        volumes, shares = self.volumes[: self.n_parts], 0.0
+        for part, state in zip(self.parts, balance.parts.states, strict=True):
+            assert part.form.swelling is not None
+            shares += part.form.swelling.pressure(part.form.unturned(state)[1]) / 3.0
+        return float((balance.pressure[: self.n_parts] @ volumes + shares) / volumes.sum())
 
     def scalars(self, balance: Balance) -> dict[str, float]:
         """`parts`, `part_rotation` the largest between two [rad], `part_strain` the largest within one.
@@ -448,20 +452,25 @@ def _condensed(
     places: Index,
     block: Factor | None,
 ) -> _Part:
-    """A part whose inner nodes are eliminated; `block` is their factor where it is known."""
+    """A part whose inner nodes are eliminated; `block` is their factor, without the swelling, where it is known."""
     follows = carried = np.zeros((0, 0))
+    i, c = _dofs(np.flatnonzero(inner)), _dofs(np.flatnonzero(shared))
+    swelling = form.swelling
+    assert swelling is not None
+    if not len(i):
+        solver: Factor = _Nothing()
+    elif shared.any():
+        solver = DenseFactor(form.matrix[np.ix_(i, i)] + swelling.block(i, i))
+    else:
+        solver = SwollenFactor(block or form.factor(inner), swelling, i)
     if shared.any():
-        i, c = _dofs(np.flatnonzero(inner)), _dofs(np.flatnonzero(shared))
-        block = DenseFactor(form.matrix[np.ix_(i, i)]) if len(i) else _Nothing()
-        coupling = form.matrix[np.ix_(i, c)]
-        follows = np.asarray(block.solve(np.asfortranarray(coupling)))
-        carried = form.matrix[np.ix_(c, c)] - coupling.T @ follows
+        coupling = form.matrix[np.ix_(i, c)] + swelling.block(i, c)
+        follows = np.asarray(solver.solve(np.asfortranarray(coupling)))
+        carried = form.matrix[np.ix_(c, c)] + swelling.block(c, c) - coupling.T @ follows
         carried = 0.5 * (carried + carried.T)
-    if block is None:
-        block = form.factor(inner) if inner.any() else _Nothing()
     areas = form.surface.nodal_areas / form.surface.area
     body = DeformableSurface(form.surface)
-    return _Part(nodes, form, body, inner, shared, places, owns, walls, areas, block, follows, carried)
+    return _Part(nodes, form, body, inner, shared, places, owns, walls, areas, solver, follows, carried)
 
 
 def _angles(traces: Array) -> Array:

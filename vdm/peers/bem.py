@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import linalg, sparse
 from scipy.linalg import blas, lapack
 
-from solver_common.arrays import Array, Mask
+from solver_common.arrays import Array, Index, Mask
 from vdm.boundary.rims import Rims
 from vdm.deformed import DeformedSurface
 from vdm.formulations.base import DisplacementFormulation, Factor, Factorise
@@ -50,7 +52,8 @@ class BoundaryFormulation(DisplacementFormulation):
     rotation Q that best fits the part's surface:
     `E = 1/2 w.S w`, w = (positions) Q^T - (rest), Q from `sum a_i |x_i - X_i Q|^2`, areas a_i and arms X_i at rest.
     As Q turns with the positions, the force is `Q^T S w` less `lambda x (a_i X_i Q)`: forces that take off the
-    moment of the first term, so that the internal force has neither a resultant nor a moment.
+    moment of the first term, so that the internal force has neither a resultant nor a moment. S has its `swelling`
+    there, where that is set.
 
     Raises
     ------
@@ -62,6 +65,7 @@ class BoundaryFormulation(DisplacementFormulation):
 
     name = "bem"
     matrix: Array
+    swelling: Swelling | None = None
     _rims: Rims
 
     def __init__(
@@ -210,8 +214,8 @@ class BoundaryFormulation(DisplacementFormulation):
         return force - self.elastic_force(moved) / (3.0 * self.bulk_modulus)
 
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
-        turn, unturned = self._unturned(state)
-        force = self.elastic_force(unturned) @ turn
+        turn, unturned = self.unturned(state)
+        force = self.swollen_forces(unturned[:, :, None])[:, :, 0] @ turn
         # dQ = Q [omega]x with (tr P - P) omega = -sum levers x dx, P = sum levers (x) positions, is symmetric;
         # the energy changes by omega . sum positions x force
         levers = state.body.levers @ turn
@@ -222,13 +226,75 @@ class BoundaryFormulation(DisplacementFormulation):
         return balanced + self.ground_force(x)
 
     def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
-        unturned = self._unturned(state)[1]
-        return 0.5 * float(np.vdot(unturned, self.elastic_force(unturned)) + np.vdot(x, self.ground_force(x)))
+        unturned = self.unturned(state)[1]
+        force = self.swollen_forces(unturned[:, :, None])[:, :, 0]
+        return 0.5 * float(np.vdot(unturned, force) + np.vdot(x, self.ground_force(x)))
 
-    def _unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
+    def swollen_forces(self, x: Array) -> Array:
+        """Forces of k displacements (N, 3, k) in the body's frame at large displacements: S u and its swelling."""
+        force = self.elastic_forces(x)
+        return force if self.swelling is None else force + self.swelling.forces(x)
+
+    def unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
         """The best-fit rotation Q of the nodes and the displacement left after it is undone."""
         turn = state.rotation
         return turn, state.positions @ turn.T - state.body.rest
+
+
+@dataclass(frozen=True)
+class Swelling:
+    """What makes a swelling of an incompressible body cost nothing: `P^T S P - S`, of rank 2.
+
+    Small strain keeps the flux `g.w` of a displacement w, the polyhedron its volume: where something turns within
+    the body they differ, by a term of second order. No incompressible solid moves so, and what S says of it hangs
+    on its null vector. `P = I - X g^T / (3 V)` takes off a uniform swelling X, with `g.X = 3 V`. Where g.w is zero
+    nothing changes.
+
+    `P^T S P = S + U C U^T` with `U = [g / 3V, S X]`, `C = [[X.S X, -1], [-1, 0]]`.
+
+    Attributes
+    ----------
+    vectors : (3N, 2) U
+    core : (2, 2) C
+    """
+
+    vectors: Array
+    core: Array
+
+    @classmethod
+    def of(cls, form: BoundaryFormulation) -> Swelling:
+        """That of a body."""
+        arms = form.surface.points - form.surface.points.mean(axis=0)
+        pulled, g = form.elastic_force(arms), form.surface.area_vectors
+        vectors = np.stack([g / np.vdot(g, arms), pulled], axis=2).reshape(-1, 2)
+        return cls(vectors, np.array([[np.vdot(arms, pulled), -1.0], [-1.0, 0.0]]))
+
+    def forces(self, x: Array) -> Array:
+        """(N, 3, k) of displacements (N, 3, k)."""
+        flat = x.reshape(len(self.vectors), -1)
+        return np.asarray(self.vectors @ (self.core @ (self.vectors.T @ flat))).reshape(x.shape)
+
+    def block(self, rows: Index, columns: Index) -> Array:
+        """Of some unknowns."""
+        return np.asarray((self.vectors[rows] @ self.core) @ self.vectors[columns].T)
+
+    def pressure(self, x: Array) -> float:
+        """3 V times what a pressure beside S is above one beside `P^T S P`, in a displacement (N, 3) [Pa m^3]."""
+        return float(self.vectors[:, 1] @ x.reshape(-1))
+
+
+class SwollenFactor:
+    """Factor of a block of S with its swelling, by that of S (Woodbury)."""
+
+    def __init__(self, factor: Factor, swelling: Swelling, unknowns: Index) -> None:
+        self._factor, self._vectors = factor, swelling.vectors[unknowns]
+        self._answers = np.asarray(factor.solve(np.asfortranarray(self._vectors)))
+        self._small = np.linalg.inv(swelling.core) + self._vectors.T @ self._answers
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """Solution of (n,) or (n, m) right-hand sides."""
+        found = np.asarray(self._factor.solve(right_hand_side))
+        return found - self._answers @ np.linalg.solve(self._small, self._vectors.T @ found)
 
 
 def _axial(products: Array) -> Array:

@@ -85,7 +85,7 @@ class Large(Protocol):
         """Elastic energy [J]."""
         ...
 
-    def mean_pressure(self, pressure: Array) -> float:
+    def mean_pressure(self, balance: Balance) -> float:
         """By volume [Pa]."""
         ...
 
@@ -133,8 +133,8 @@ class Whole:
     def energy(self, balance: Balance) -> float:
         return self.problem.formulation.deformed_energy(balance.x, balance.parts[0])
 
-    def mean_pressure(self, pressure: Array) -> float:
-        return float(pressure[0])
+    def mean_pressure(self, balance: Balance) -> float:
+        return float(balance.pressure[0])
 
     def reserved(self, status: Status, balance: Balance) -> Status:  # noqa: ARG002 - one body follows all it knows
         return status
@@ -259,7 +259,7 @@ class NonlinearSolver:
         return DeformedStep(
             problem=self.problem,
             unknown=x[: self.problem.formulation.surface.n_nodes].copy(),
-            border=self._border(self.body.mean_pressure(pressure)),
+            border=self._border(self.body.mean_pressure(balance)),
             iterations=iterations,
             lacking=balance.lacking[self.problem.held_nodes],
             stored=self.body.energy(balance),
