@@ -30,7 +30,7 @@ class HerePool:
 
 def outcomes_of(plan: Plan, cases: Sequence[PlannedCase] | None = None) -> list[tuple[Task, Said]]:
     """What becomes of the tasks that these cases need, of all that are missing by default."""
-    tasks = tasks_of(plan, plan.cases_to_run() if cases is None else cases, run=f"{id(plan)}")
+    tasks = tasks_of(plan, plan.cases_to_run() if cases is None else cases)
     return list(run_tasks(tasks, HerePool(), plan.directory / "failed"))
 
 

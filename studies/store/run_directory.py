@@ -58,7 +58,6 @@ class _Plan:
     study: _Study
     cases: Sequence[_Case]
     surfaces: Mapping[str, str] = field(default_factory=dict)
-    resumed: Sequence[str] = ()
     command: Sequence[str] = ()
     directory: str = ""
     taken: _Taken | None = None

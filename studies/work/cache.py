@@ -32,7 +32,7 @@ STEPS = (
     "seconds_per_step",
 )
 _NUMBERS = ("seconds_setup", "peak_bytes", "version")
-EARLIER = "measured_earlier"  # parameter of a result whose times were measured in an earlier run
+ELSEWHERE = "measured_on"  # parameter of a result whose times another processor took: which
 
 
 def answer_path(cache: Path, key: str) -> Path:
@@ -40,13 +40,12 @@ def answer_path(cache: Path, key: str) -> Path:
     return cache / "answers" / f"{key}.npz"
 
 
-def write_answer(path: Path, result: ModelResult, run: str) -> None:
-    """Store an answer, with the name of the run that measured its times. Raises OSError."""
+def write_answer(path: Path, result: ModelResult) -> None:
+    """Store an answer, with the processor that its times are of. Raises OSError."""
     about = {
         **{name: getattr(result, name) for name in _NUMBERS},
         "parameters": dict(result.parameters),
         "status": [dataclasses.astuple(status) for status in result.status],
-        "run": run,
         "processor": processor_name(),  # the cache may be copied to another machine
     }
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
@@ -55,21 +54,19 @@ def write_answer(path: Path, result: ModelResult, run: str) -> None:
     write_arrays(path, arrays)
 
 
-def read_answer(path: Path, run: str = "") -> ModelResult | None:
-    """The answer stored at `path`, marked if another run measured it; None where there is none or it is damaged."""
+def read_answer(path: Path) -> ModelResult | None:
+    """The answer stored at `path`, marked where another processor took its times; None where none is sound."""
     arrays = read_arrays(path)
     if arrays is None:
         return None
     about = json.loads(str(arrays["about"]))
-    earlier = {EARLIER: "yes"} if run and about["run"] != run else {}
-    if earlier and about["processor"] != processor_name():
-        earlier["measured_on"] = about["processor"]
+    elsewhere = {ELSEWHERE: about["processor"]} if about["processor"] != processor_name() else {}
     stored: dict[str, Any] = {name: arrays[name] for name in STEPS}
     return ModelResult(
         **stored,
         **{name: about[name] for name in _NUMBERS},
         status=tuple(Status(*status) for status in about["status"]),
-        parameters={**about["parameters"], **earlier},
+        parameters={**about["parameters"], **elsewhere},
         scalars={
             name.removeprefix("scalar/"): values
             for name, values in arrays.items()
@@ -78,10 +75,10 @@ def read_answer(path: Path, run: str = "") -> ModelResult | None:
     )
 
 
-def stored_answer(cache: Path, key: str, run: str) -> ModelResult:
+def stored_answer(cache: Path, key: str) -> ModelResult:
     """An answer that a node before this one has made. Raises OSError where it is gone."""
     path = answer_path(cache, key)
-    answer = read_answer(path, run)
+    answer = read_answer(path)
     if answer is None:
         raise FileNotFoundError(2, "an answer is gone, or damaged; run again", str(path))
     return answer

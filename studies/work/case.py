@@ -41,8 +41,8 @@ Stored = Callable[[str], ModelResult]  # key -> answer
 
 
 @lru_cache(maxsize=64)  # of a worker: cases of one body share answers
-def _stored(cache: Path, key: str, run: str) -> ModelResult:
-    return stored_answer(cache, key, run)
+def _stored(cache: Path, key: str) -> ModelResult:
+    return stored_answer(cache, key)
 
 
 def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
@@ -63,7 +63,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
     study, mesh = case.study, meshes(0).finest
     scene = build_scene(study, mesh)
     surface = loaded_surface(scene)
-    stored = partial(_stored, Path(payload["cache"]), run=payload["run"])
+    stored = partial(_stored, Path(payload["cache"]))
     found = [(want, _result(want, scene, stored)) for want in case.wanted]
     coarse = reference = study.study.reference
     places, found = at_what_was_reached(study, scene, found, meshes)

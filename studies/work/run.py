@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from uuid import uuid4
 
 import tomli_w
 
@@ -105,7 +104,7 @@ def run_plan(
         }
         if not cases and not _decides(plan) and (done := _as_told(plan, texts)) is not None:
             return done, plan.directory / REPORT
-        planned = summary(plan) | {"resumed": _resumed(plan, cases)}
+        planned = summary(plan)
         for name, text in texts.items():
             write_atomically(plan.directory / name, text)
         write_plan(plan.directory, planned)
@@ -163,15 +162,6 @@ def _check_study(plan: Plan) -> None:
             )
 
 
-def _resumed(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
-    """Hashes of the cases that an earlier run has done; a run that has nothing to do changes none of them."""
-    if cases:
-        return [case.hash for case in plan.in_order if plan.is_done(case)]
-    with suppress(StoreError):
-        return list(read_plan(plan.directory).get("resumed", ()))
-    return []
-
-
 def _check_memory(plan: Plan, cases: Sequence[PlannedCase], watch: Callable[[Event], None]) -> None:
     """Raises StudyError where a case needs far more memory than there is; tells where it may be too much."""
     work = bodies(plan, cases)
@@ -214,7 +204,7 @@ def _run_missing(
     """Do the tasks; returns the seconds of processor that they took."""
     if options.scheduler is not None:  # whose workers run elsewhere
         plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
-    tasks = tasks_of(plan, cases, run=uuid4().hex)
+    tasks = tasks_of(plan, cases)
     watch(Event("begun", plan.study.study.name, count=len(tasks)))
     used = 0.0
     for task, said in run_tasks(

@@ -86,14 +86,14 @@ def _bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
     return [Body(*about, tuple(asked[of].values())) for of, about in found.items()]
 
 
-def tasks_of(plan: Plan, cases: Sequence[PlannedCase], run: str) -> list[Task]:
+def tasks_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[Task]:
     """The tasks that these cases need and whose files are not there, each after those that it needs."""
     tasks: list[Task] = []
     there: dict[str, str] = {}  # file's key -> task that makes it
 
     def add(kind: str, identity: str, label: str, of: PlannedCase, needs: Iterable[str], **own: Any) -> None:
         made = frozenset(there[need] for need in needs if need in there)
-        payload = case_payload(of, plan) | {"run": run} | own
+        payload = case_payload(of, plan) | own
         tasks.append(Task(identity, kind, label, payload, made, of if kind == "case" else None))
 
     on_mesh = {case.mesh: case for case in reversed(cases)}

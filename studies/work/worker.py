@@ -108,7 +108,7 @@ def _answers(payload: Payload) -> None:
             result = restricted(result, meshes)
         for place, one in enumerate(of_one):  # of several each is one step
             answer = result if len(of_one) == 1 else steps_of(result, [place])
-            write_answer(answer_path(cache, one["key"]), answer, payload["run"])
+            write_answer(answer_path(cache, one["key"]), answer)
 
 
 def _by_modulus(asked: Sequence[Payload], scenes: Mapping[str, Scene]) -> list[list[Payload]]:

@@ -130,8 +130,6 @@ def test_a_further_model_costs_that_model(tmp_path: Path, cache: Path, made: Cou
     for a, b in zip(after, before, strict=True):
         for name, result in b.models.items():
             np.testing.assert_array_equal(a.models[name].displacement, result.displacement)
-            assert a.models[name].parameters["measured_earlier"] == "yes"
-        assert "measured_earlier" not in a.models["vdm-paper"].parameters
         assert a.reference_error == b.reference_error
 
 
@@ -140,7 +138,7 @@ def test_a_further_force_costs_no_answer(tmp_path: Path, cache: Path, made: Coun
     made.clear()
     forces = TABLES["sweep"] | {"constraints.finger.force": [0.1, 0.3, 0.7, -0.2]}
     plan = plan_of(tmp_path, cache, sweep=forces)
-    assert {task.kind for task in tasks_of(plan, plan.cases_to_run(), "")} == {"case"}
+    assert {task.kind for task in tasks_of(plan, plan.cases_to_run())} == {"case"}
     assert len(run(plan)) == 8
     assert not made
 
@@ -149,7 +147,7 @@ def test_a_word_in_the_title_and_a_limit_of_acceptance_cost_no_node(tmp_path: Pa
     run(plan_of(tmp_path, cache))
     title, tighter = TABLES["study"] | {"title": "Another"}, {"displacement_error": 0.01}
     plan = plan_of(tmp_path, cache, study=title, acceptance=tighter)
-    assert tasks_of(plan, plan.cases_to_run(), "") == []
+    assert tasks_of(plan, plan.cases_to_run()) == []
 
 
 def test_another_study_uses_the_same_answers(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
@@ -178,7 +176,7 @@ def test_what_nobody_asks_for_has_no_node(tmp_path: Path) -> None:
     plan = plan_of(
         tmp_path, tmp_path / "none", study={"name": "test", "models": ["vdm-vector"]}, uncertainty=None
     )
-    found = tasks_of(plan, plan.cases, "")
+    found = tasks_of(plan, plan.cases)
     assert Counter(task.kind for task in found) == {"mesh": 1, "answers": 1, "case": 4}
     assert not any(task.payload["volume"] for task in found), "no tetrahedra"
 
@@ -187,9 +185,8 @@ def test_fresh_uses_nothing_that_is_stored(tmp_path: Path, cache: Path, made: Co
     run(plan_of(tmp_path, cache))
     first = dict(made)
     made.clear()
-    again = run(plan_of(tmp_path, cache, fresh=True))
+    run(plan_of(tmp_path, cache, fresh=True))
     assert made == first
-    assert all("measured_earlier" not in r.parameters for case in again for r in case.models.values())
 
 
 def test_a_damaged_answer_is_made_again(tmp_path: Path, made: Counter[str]) -> None:
@@ -208,7 +205,7 @@ def test_a_damaged_answer_is_made_again(tmp_path: Path, made: Counter[str]) -> N
 
 def test_an_answer_that_is_gone_meanwhile_is_told(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, tmp_path / "cache")
-    cases = [task for task in tasks_of(plan, plan.cases, "") if task.kind == "case"]
+    cases = [task for task in tasks_of(plan, plan.cases) if task.kind == "case"]
     said = [one for _, one in run_tasks(cases, HerePool(), tmp_path / "failed")]
     assert all("is gone" in one.message and one.remedy for one in said)
 
@@ -273,7 +270,7 @@ def test_one_and_three_workers_give_the_same_numbers(tmp_path: Path) -> None:
     for jobs in (1, 3):
         plan = plan_of(tmp_path / f"{jobs}", tmp_path / f"cache-{jobs}")
         with local_pool(jobs) as pool:
-            outcomes = list(run_tasks(tasks_of(plan, plan.cases, run=""), pool, tmp_path / "logs"))
+            outcomes = list(run_tasks(tasks_of(plan, plan.cases), pool, tmp_path / "logs"))
         assert all(said.ok for _, said in outcomes), outcomes
         found.append([read_case(plan.case_file(case)) for case in plan.cases])
     assert list((tmp_path / "logs").iterdir()) == []
@@ -332,7 +329,7 @@ def test_a_plan_works_out_its_set_ups_once(
 
     monkeypatch.setattr(tasks, "_bodies", counted)
     summary(plan)
-    assert tasks_of(plan, plan.cases_to_run(), "")
+    assert tasks_of(plan, plan.cases_to_run())
     assert made == {"set-ups": 1}
 
 
