@@ -133,7 +133,7 @@ def hold_against(
         return None
     factors = np.array(study.load.history)
     pushed = {
-        name: Pushed(study, mesh, name)
+        name: Pushed.on(study, mesh, name)
         for name in dict.fromkeys(_pushing(study, table) for table, _ in tables if table.forces)
     }
 

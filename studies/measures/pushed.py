@@ -68,26 +68,42 @@ def along_movement(prescribed: Array, reaction: Array, mask: Mask) -> Array:
 
 
 class Pushed:
-    """One constraint on a mesh: the curve of force against depth of any answer."""
+    """One constraint that pushes a body: the curve of force against depth of any answer.
 
-    def __init__(self, study: Study, mesh: Mesh, name: str) -> None:
-        self.constraint: Constraint = next(part for part in study.constraints if part.name == name)
-        region = in_mesh_coordinates(study, mesh)[self.constraint.region]
-        self._mask = select(region, mesh, in_mesh_coordinates(study, mesh))
-        self._mesh, self._factors = mesh, np.array(study.load.history)
+    Parameters
+    ----------
+    mask : (N,) nodes of its region on the undeformed `surface`
+    factors : (S,) load factors of the steps
+    """
+
+    def __init__(
+        self, study: Study, constraint: Constraint, mask: Mask, surface: Surface, factors: Array
+    ) -> None:
+        self.constraint, self._mask, self._surface = constraint, mask, surface
+        self._factors = factors
         self._rests = study.gravity is None or not any(study.gravity.acceleration)
-        self._normals = Surface(mesh.surface_points, mesh.triangles).normals
+        smooth = constraint.kind == "contact" and constraint.profile not in (None, "uniform")
+        # what a pressure of another profile amounts to hangs on its place
+        self.unit = "Pa" if smooth and constraint.force is None else "N"
+
+    @classmethod
+    def on(cls, study: Study, mesh: Mesh, name: str) -> Pushed:
+        """The constraint of a name on a mesh."""
+        constraint = next(part for part in study.constraints if part.name == name)
+        named = in_mesh_coordinates(study, mesh)
+        surface = Surface(mesh.surface_points, mesh.triangles)
+        mask = select(named[constraint.region], mesh, named)
+        return cls(study, constraint, mask, surface, np.array(study.load.history))
 
     def curve(self, answer: Answer) -> tuple[Array, Array]:
-        """(S,) depths [m] and (S,) forces [N]; NaN where the answer does not tell."""
+        """(S,) depths [m] and (S,) forces [N], or pressures [Pa]; NaN where the answer does not tell."""
         given = {**self.constraint.model_dump(exclude_none=True), **self._changed(answer)}
         if self.constraint.kind == "contact":
-            mesh = self._mesh
-            force = given.get("force")
-            if force is None:
-                force = resultant(given["pressure"], self._mask, mesh.surface_points, mesh.triangles)
+            size = given["pressure"] if self.unit == "Pa" else given.get("force")
+            if size is None:
+                size = resultant(given["pressure"], self._mask, self._surface.points, self._surface.triangles)
             nodes = np.flatnonzero(self._mask)
-            return inward(answer.displacement, nodes, self._normals), self._factors * float(force)
+            return inward(answer.displacement, nodes, self._surface.normals), self._factors * float(size)
         if self.constraint.kind == "indenter":
             force = answer.indenter_force
             depths = self._factors * float(given["depth"])

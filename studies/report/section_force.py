@@ -11,17 +11,10 @@ from matplotlib.axes import Axes
 from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
+from ..measures.pushed import Answer, Pushed
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, quantity, scale_of
-from ..verdict.loading import (
-    contact_pressure,
-    contact_resultant,
-    indentation,
-    moved,
-    movement_force,
-    name_of,
-    weighs,
-)
+from ..verdict.formatting import quantity, scale_of
+from ..verdict.loading import kind_of, name_of, weighs
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Curve, lines
 
@@ -38,6 +31,13 @@ _INDENTER_NOTE = (
     "model that is too stiff lies above the reference."
 )
 _WEIGHT_NOTE = "The body's weight acts without load too: no curve starts at the origin."
+
+# kind of a constraint -> what its depth and its force are called
+_KINDS = {
+    "contact": ("indentation", "contact force", _CONTACT_NOTE),
+    "indenter": ("depth", "indenter force", _INDENTER_NOTE),
+    "constrained": ("prescribed displacement", "reaction force", _MOVED_NOTE),
+}
 
 
 @dataclass(frozen=True)
@@ -72,34 +72,17 @@ def force_against_indentation(digest: Digest) -> Section | None:
 
 def _pushes(digest: Digest, case: CaseResult) -> Iterator[Push]:
     """Where a case is pushed, with the models whose curve is known."""
-    constraints = case.study.constraints
-    contacts = [c for c in constraints if c.kind == "contact"]
-    # what pulls has no inwards; on an edge the normals of its nodes are no direction of it
-    elsewhere = moved(case) or any(c.kind in ("line", "traction", "indenter") for c in constraints)
-    found: list[Push] = []
-    if contacts or not elsewhere:
-        load, unit, size = "load factor", "1", 1.0
-        if (force := contact_resultant(case)) is not None:
-            load, unit, size = "contact force", "N", force
-        elif (pressure := contact_pressure(case)) is not None:
-            load, unit, size = "contact pressure", "Pa", pressure
-        depths = indentation(case, case.models, digest.surfaces[case.hash].normals)
-        curves = {model: (depth, case.load_factors * size) for model, depth in depths.items()}
-        found.append(Push(listed(map(name_of, contacts)), "indentation", load, unit, _CONTACT_NOTE, curves))
-    for entry in (c for c in constraints if c.kind == "indenter"):
-        curves = {
-            model: (case.load_factors * float(entry.depth or 0.0), result.scalars["indenter_force"])
-            for model, result in case.models.items()
-            if "indenter_force" in result.scalars
-        }
-        found.append(Push(name_of(entry), "depth", "indenter force", "N", _INDENTER_NOTE, curves))
-    for name in moved(case):
-        curves = {model: movement_force(case, model, name) for model in case.models}
-        found.append(Push(name, "prescribed displacement", "reaction force", "N", _MOVED_NOTE, curves))
-    for push in found:
-        known = {m: curve for m, curve in push.curves.items() if np.isfinite(curve).all(axis=0).any()}
+    for constraint in case.study.constraints:
+        kind, mask = kind_of(constraint), case.regions[constraint.region]
+        if kind not in _KINDS or not mask.any():
+            continue
+        pushed = Pushed(case.study, constraint, mask, digest.surfaces[case.hash], case.load_factors)
+        curves = {model: pushed.curve(Answer.of(result)) for model, result in case.models.items()}
+        known = {m: curve for m, curve in curves.items() if np.isfinite(curve).all(axis=0).any()}
+        length, load, note = _KINDS[kind]
+        load = "contact pressure" if pushed.unit == "Pa" else load
         if known:
-            yield replace(push, curves=known)
+            yield Push(name_of(constraint), length, load, pushed.unit, note, known)
 
 
 def _drawing(digest: Digest, case: CaseResult, push: Push, place: str, salt: str) -> Figure:
@@ -122,7 +105,7 @@ def _drawing(digest: Digest, case: CaseResult, push: Push, place: str, salt: str
         last = int(np.argmax(np.abs(x)))
         return f"{quantity(float(y[last]), push.unit)} at {quantity(float(x[last]), 'm')}"
 
-    x_label, y_label = f"{push.length} [{length_unit}]", f"{push.load} [{force_unit}]".replace(" []", "")
+    x_label, y_label = f"{push.length} [{length_unit}]", f"{push.load} [{force_unit}]"
     title = f"{push.load.capitalize()} against {push.length}, {place}"
     return replace(
         lines(digest, curves, x_label, y_label, title, salt, finish=finish, told=told), title=place

@@ -142,7 +142,7 @@ def test_without_a_reference_no_error_is_claimed() -> None:
     ]
     html = page_html(make_run(cases), stills=False)
     names = re.findall(r'<section id="(\w+)"', html)
-    assert names == ["headline", "load", "surface", "force", "cases", "provenance", "reproduce"]
+    assert names == ["headline", "load", "surface", "cases", "provenance", "reproduce"]
     assert "error" not in words(section(html, "headline")).lower()
 
 
