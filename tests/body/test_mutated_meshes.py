@@ -5,6 +5,7 @@ The changes come from a seeded generator, so that a failure is found again by it
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import resource
 from pathlib import Path
@@ -72,8 +73,10 @@ def read_apart(path: Path) -> str:
     answer, told = os.pipe()
     child = os.fork()
     if not child:
+        faulthandler.disable()
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_AS, (8_000_000_000,) * 2)
+        resource.setrlimit(resource.RLIMIT_DATA, (3_000_000_000,) * 2)
         resource.setrlimit(resource.RLIMIT_CPU, (20, 20))
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
@@ -95,7 +98,7 @@ def test_a_changed_mesh_file_is_read_or_refused(tmp_path: Path, ball: Mesh, name
     data = whole.read_bytes()
     assert read(whole) == read_apart(whole) == "sound"  # here too, so that its readers are loaded once
     answers = []
-    for number in range(30):
+    for number in range(15):
         path = tmp_path / f"changed-{name}"
         path.write_bytes(changed(data, np.random.default_rng(number)))
         answer = read_apart(path)
@@ -103,4 +106,4 @@ def test_a_changed_mesh_file_is_read_or_refused(tmp_path: Path, ball: Mesh, name
         assert 0 < len(answer) < 300, number
         answers.append(answer)
     assert any(answer != "sound" for answer in answers)
-    assert sum("signal" in answer for answer in answers) < 10, answers
+    assert sum("signal" in answer for answer in answers) < 5, answers
