@@ -143,6 +143,8 @@ class DisplacementPreconditioner:
             strength=("symmetric", {"theta": 0.0}),
             presmoother=smoother,
             postsmoother=smoother,
+            # rows over the sum of their sizes have eigenvalues up to 1, which need no estimate from a random start
+            smooth=("jacobi", {"omega": 2.0, "weighting": "local"}),
             max_coarse=_COARSEST,
         )
         self._cycle = self.hierarchy.aspreconditioner(cycle="V")
