@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from fem_reference.costs import NEWTON_STEPS, estimate_costs, estimate_newton_costs, faster_that_fits
+from fem_reference.costs import NEWTON_STEPS, RESTART, estimate_costs, estimate_newton_costs, faster_that_fits
 from fem_reference.factorisation import LIBRARY, Analysis, pivotable_triangle
 from fem_reference.krylov import gmres
 from fem_reference.linear_algebra import SOLVERS
@@ -104,7 +104,7 @@ class Multigrid:
     name = "iterative"
     library = "none"
     patience = 30
-    limit = 400
+    limit = 2 * RESTART  # a tangent that needs more is one beyond a limit point
 
     def __init__(self, system: LinearSystem, memory_limit: float | None) -> None:
         self.estimated_bytes = estimate_costs(system.size, system.mesh.n_vertices, 1)[self.name].bytes
