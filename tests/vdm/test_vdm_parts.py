@@ -75,7 +75,7 @@ def test_loops_that_no_cap_fills_are_refused() -> None:
     new, facets = cap(np.vstack([ring, 0.4 * ring]), [loop, 24 + loop[::-1]], np.array([0.0, 0.0, 1.0]))
     assert len(new) > 0
     assert len(facets) > 48
-    small = cut(*icosphere(0), 2)
+    small = cut(*icosphere(1), 2)
     assert len(small.parts) == 1
     assert "too small to be cut" in small.refused
 

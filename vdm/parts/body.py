@@ -42,7 +42,7 @@ from vdm.solvers.nonlinear import Balance
 from vdm.surface import SurfaceMesh
 
 # rotation within a part [rad] that small strain in its frame bears: half of its square is the strain that it feigns
-MOST_TURN = np.radians(5.0)
+MOST_TURN = np.radians(10.0)
 SAME_TURN = 0.01  # change of a rotation that a correction does not mind: a factor is made anew beyond it
 LEAST_GAIN, ANOTHER_LOAD = (
     0.1,

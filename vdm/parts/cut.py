@@ -18,7 +18,7 @@ from vdm.parts.caps import CutError, cap, nearest
 SHIFTS = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12, 0.18, -0.18)
 SWEEPS = 50
 # facets that a part has at least: below, its caps are most of its surface
-SMALLEST = 40
+SMALLEST = 60
 # of the loops' mean edge: closer to the surface than this, a cap's node leaves no room for a body between
 ROOM = 0.3
 
