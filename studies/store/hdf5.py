@@ -216,12 +216,16 @@ class Stored:
         found: bytes = self._read(path, np.dtype(object), _STRING)[()]
         return found.decode()
 
-    def attribute(self, path: str, name: str) -> Any:
+    def attribute(self, path: str, name: str) -> str | float:
         """An attribute: a text or a number."""
         stored = h5a.open(self._object(path), name.encode())
-        value = np.empty(stored.shape, stored.dtype)
-        stored.read(value)
-        return value[()].decode() if isinstance(value[()], bytes) else value[()]
+        if stored.get_type().get_class() == h5t.STRING:
+            text = np.empty((), dtype=object)
+            stored.read(text, mtype=_STRING)
+            return bytes(text[()]).decode()
+        number = np.empty(())
+        stored.read(number, mtype=h5t.NATIVE_DOUBLE)
+        return float(number)
 
     def _read(self, path: str, kind: np.dtype[Any], stored: Any) -> Any:
         dataset = self._object(path)
