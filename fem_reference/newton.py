@@ -26,7 +26,7 @@ from solver_common.arrays import Array, Mask
 from solver_common.quadrature import facet_quadrature
 
 _LEAST_STEP = 2.0**-8  # of a load step
-# The same beyond Biot's stretch, where shorter ones do not help: see the README, "Where it ends".
+# The same where shorter ones do not help: beyond Biot's stretch, see the README, "Where it ends".
 _LEAST_CRUMPLED = 2.0**-5
 _EASY = 5  # Newton iterations after which the next substep may be longer
 _LEAST_DAMPING = 0.1  # of an update that would turn an element inside out
@@ -194,16 +194,17 @@ class Newton:
                 state, reached = attempt.state, target
                 if len(attempt.residuals) - 1 <= _EASY:
                     step *= 2.0
-            elif step <= self._least_step(state) or attempt.code == "too-small":
+            elif step <= self._least_step(attempt) or attempt.code == "too-small":
                 return
             else:
                 step *= 0.5
 
-    def _least_step(self, state: State) -> float:
-        """How short a substep from a state may be: a surface that is no longer stable does not repay short ones."""
+    def _least_step(self, failed: Substep) -> float:
+        """How short a substep may be: one from a state whose surface or tangent is unstable does not repay it."""
         mesh = self.system.mesh
-        crumpled = most_compressed(mesh, state.displacement * mesh.mean_edge).plane < BIOT
-        return _LEAST_CRUMPLED if crumpled else _LEAST_STEP
+        crumpled = most_compressed(mesh, failed.state.displacement * mesh.mean_edge).plane < BIOT
+        unsolved = failed.code == "linear-solver" and len(failed.residuals) == 1  # the state's own tangent
+        return _LEAST_CRUMPLED if crumpled or unsolved else _LEAST_STEP
 
     def solve(self, state: State, load: ScaledLoad, load_factor: float, reached: float = 0.0) -> Substep:
         """Newton iterations from a state, at load factor `reached`, to equilibrium under a load."""
