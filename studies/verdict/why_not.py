@@ -20,9 +20,11 @@ from .digest import Digest, failed_steps
 from .loading import load_unit, loads_of
 
 MODEL, LEFT_OUT, SMALL_STRAIN, MESH = "model", "left out", "small strain", "mesh"
+COMPRESSIBILITY = "compressibility"
 REFERENCE, TIME, NO_ANSWER, NOT_TOLD = "reference", "time", "no answer", "not told apart"
 HALF = 0.5  # of what a limit allows: from there on a cause is named
 SMALL = 0.3  # of the largest load: what a step may carry to be called a small one
+POISSON = "tissue.poisson_ratio"
 LINEAR_ELEMENTS = ("fem-linear", "fem-condensed", "fem-p2", "fem-p1")
 
 
@@ -171,6 +173,23 @@ def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
         yield Reason(SMALL_STRAIN, shortfall.errors(model), {"first": first, **shortfall.load})
 
 
+def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
+    """The error grows as a swept Poisson's ratio falls, and only cases at low ratios are not within."""
+    digest = shortfall.digest
+    ratios = np.array([case.swept.get(POISSON, math.nan) for case in digest.cases])
+    found = np.unique(ratios[np.isfinite(ratios)])
+    within = digest.at_full(digest.worst_states(shortfall.model, of_load=True)) == WITHIN
+    good = np.array([within[ratios == one].all() for one in found], dtype=bool)
+    medians = [float(np.median(digest.shares(shortfall.model)[ratios == one])) for one in found]
+    if (
+        good.any()
+        and not good.all()
+        and np.all(np.diff(good.astype(int)) >= 0)
+        and np.all(np.diff(medians) < 0.0)
+    ):
+        yield Reason(COMPRESSIBILITY, about={"ratios": found[~good].tolist()})
+
+
 def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
     """The reference's own elements on the mesh that the model has."""
     coarse = shortfall.digest.coarse_reference
@@ -208,6 +227,7 @@ CAUSES: tuple[Callable[[Shortfall], Iterator[Reason]], ...] = (
     the_model,
     what_is_left_out,
     small_strain_ended,
+    compressibility,
     the_mesh,
     the_reference,
     the_time,

@@ -18,6 +18,7 @@ from vdmbench.study.registry import family_of
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import Verdict, verdicts
 from vdmbench.verdict.why_not import (
+    COMPRESSIBILITY,
     LEFT_OUT,
     MESH,
     MODEL,
@@ -107,6 +108,34 @@ def test_the_model_is_told_by_its_smallest_load() -> None:
     }
     late = growing({"vdm-vector:nonlinear": (0.02, 0.1, 0.2)})
     assert MODEL not in causes(make_run([late]), "vdm-vector:nonlinear")
+
+
+@pytest.mark.parametrize(
+    ("errors", "fails"),
+    [
+        ([(0.3, 0.3), (0.45, 0.15), (0.49, 0.06)], [0.3, 0.45]),
+        ([(0.3, 0.06), (0.49, 0.3)], None),
+        ([(0.3, 0.3), (0.49, 0.2)], None),
+        ([(0.3, 0.12), (0.4, 0.2), (0.49, 0.06)], None),
+        # the medians fall, 9.3 % and 8.5 %, and yet it is a case at the higher ratio that is not within
+        ([(0.3, 0.09), (0.3, 0.095), (0.45, 0.05), (0.45, 0.12)], None),
+    ],
+)
+def test_compressibility_is_told_by_the_cases_that_fail(
+    errors: list[tuple[float, float]], fails: list[float] | None
+) -> None:
+    """(Poisson's ratio, error) of each case."""
+    about: dict[str, Any] = {"subdivisions": 0, "steps": (1.0,)}
+    run = make_run(
+        [
+            make_case({"vdm-vector": error}, label=f"{k}", swept={"tissue.poisson_ratio": nu}, **about)
+            for k, (nu, error) in enumerate(errors)
+        ]
+    )
+    found = causes(run)
+    assert (found[COMPRESSIBILITY].about == {"ratios": fails}) if fails else COMPRESSIBILITY not in found
+    if fails:
+        assert "the cases at 0.3 and 0.45 are not within" in told(run)[COMPRESSIBILITY]
 
 
 def test_small_strain_has_ended_where_linear_elements_are_as_far_off() -> None:
