@@ -57,6 +57,8 @@ class Solution:
     parameters : the material and solver parameters that were used
     scalars : further (S,) outputs by name
     point_fields : further (S, N) outputs by name [Pa], see `vdm.model.OUTPUTS`
+    part_of_node : (N,) part that a node belongs to, from 1, on a cut the last of its parts; None of a body that is
+        not cut
     """
 
     displacement: Array
@@ -70,3 +72,4 @@ class Solution:
     parameters: dict[str, float | str] = field(default_factory=dict)
     scalars: dict[str, Array] = field(default_factory=dict)
     point_fields: dict[str, Array] = field(default_factory=dict)
+    part_of_node: NDArray[np.int64] | None = None

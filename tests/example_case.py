@@ -74,6 +74,7 @@ def model_result(rng: np.random.Generator, n_nodes: int) -> ModelResult:
         version="1",
         parameters={"bulk_modulus": 10.0, "solver": "direct"},
         scalars={"compliance": rng.normal(size=N_STEPS)},
+        part_of_node=np.arange(n_nodes) % 2 + 1,
     )
 
 

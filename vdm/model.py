@@ -255,6 +255,7 @@ class Model:
                 **(self.condition_scalars(count) if condition else {}),
             },
             point_fields=fields,
+            part_of_node=self.solver.part_of_node if isinstance(self.solver, PartsSolver) else None,
         )
 
     def _of_mesh(self, load: Load, step: Step) -> float:

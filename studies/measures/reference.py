@@ -149,10 +149,12 @@ def require_converged(name: str, result: ModelResult) -> None:
 def restricted(result: ModelResult, hierarchy: Hierarchy) -> ModelResult:
     """A result on the finest mesh at the coarsest's surface nodes; a middle node's force is shared by its ends."""
     mesh = hierarchy.meshes[0]
-    displacement = result.displacement[:, : len(mesh.surface_nodes)]
+    n, part = len(mesh.surface_nodes), result.part_of_node
+    displacement = result.displacement[:, :n]
     return dataclasses.replace(
         result,
         displacement=displacement,
         reaction_force=hierarchy.restrict(result.reaction_force),
         volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
+        part_of_node=None if part is None else part[:n],
     )

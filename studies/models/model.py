@@ -252,6 +252,7 @@ def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model) -> 
         version=model.version,
         parameters=solution.parameters,
         scalars=solution.scalars,
+        part_of_node=solution.part_of_node,
     )
 
 

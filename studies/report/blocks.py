@@ -200,11 +200,12 @@ class Viewer:
 
 @dataclass(frozen=True)
 class Scene:
-    """A drawing of what was computed, the same in words as (what, value), and a sentence."""
+    """A drawing of what was computed, the same in words as (what, value), a sentence, and cut bodies."""
 
     svg: Markup
     words: Sequence[tuple[str, str]]
     note: str = ""
+    cut: Sequence[Markup] = ()
 
 
 Block = Text | Table | Figures | Code | Facts | Viewer

@@ -39,6 +39,8 @@ KINDS = {
     "elastic": ("springs", "#228833"),
     "indenter": ("indenter", "#ee7733"),
 }
+# of parts of a cut body, in turn: a black number is read on each (Paul Tol, Colour schemes, "light")
+PARTS = ("#77aadd", "#ee8866", "#eedd88", "#ffaabb", "#99ddff", "#44bb99", "#bbcc33", "#aaaa00")
 INSIDE = "#5b3a8c"  # what is drawn through the body
 OTHER = "#666666"  # of a kind that has no colour of its own
 _ARROWS = {"contact": "#c42842", "constrained": "#8a7410"}  # their arrows, seen on body and ground
@@ -58,8 +60,9 @@ _CLEARLY = 1.03  # times as much
 class Part:
     """A region of N nodes with what acts on it.
 
-    `kind` is that of a constraint: "fixed", "contact" or "constrained". `vector` (3,) is the resultant force on the
-    body [N] or the displacement [m]; the arrow has its direction, not its size. `label` stands at the arrow.
+    `kind` is that of a constraint: "fixed", "contact" or "constrained"; or "part 3" of a body that a
+    model cuts, whose number stands on it. `vector` (3,) is the resultant force on the body [N] or the displacement
+    [m]; the arrow has its direction, not its size. `label` stands at the arrow.
     """
 
     name: str
@@ -181,10 +184,10 @@ def scene_png(stage: Stage, lines: Sequence[str] = (), *, title: str = "", dpi: 
     return out.getvalue()
 
 
-def scene_svg(stage: Stage, *, alt: str, salt: str) -> Markup:
+def scene_svg(stage: Stage, *, alt: str, salt: str, title: str = "") -> Markup:
     """`scene_figure` as an <svg> element in the colours of the page; `alt` tells it in words."""
     with rc_context(STYLE):
-        return for_the_page(svg_of(scene_figure(stage)), alt, salt)
+        return for_the_page(svg_of(scene_figure(stage, title=title)), alt, salt)
 
 
 def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Figure:
@@ -240,7 +243,15 @@ def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Fi
 
 def style_of(kind: str) -> tuple[str, str]:
     """What a kind of constraint is called, and its colour."""
+    if number := _number(kind):
+        return kind, PARTS[(number - 1) % len(PARTS)]
     return KINDS.get(kind, (kind, OTHER))
+
+
+def _number(kind: str) -> int:
+    """Of a part that a model cuts; else 0."""
+    word, _, number = kind.partition(" ")
+    return int(number) if word == "part" and number.isdecimal() else 0
 
 
 def _legend(part: Part) -> str:
@@ -250,7 +261,7 @@ def _legend(part: Part) -> str:
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= 24 else f"{name[:23]}…"
+    return name if len(name) <= 25 else f"{name[:24]}…"
 
 
 def _draw_body(axes: Axes, stage: Stage) -> None:
@@ -274,6 +285,10 @@ def _draw_body(axes: Axes, stage: Stage) -> None:
         axes.add_collection(LineCollection(list(edges[facing]), colors=colour, linewidths=1.2))
         dots = stage.seen[stage.lone(part)]
         axes.plot(dots[:, 0], dots[:, 1], "o", color=colour, markersize=3.0, markeredgewidth=0)
+        shown = stage.facets(part) & (stage.area_vectors @ stage.axes[2] > 0)
+        if (number := _number(part.kind)) and shown.any():
+            x, y, _ = stage.seen[stage.triangles[shown]].mean(axis=(0, 1))
+            axes.text(x, y, f"{number}", color="black", ha="center", va="center")
     for outline in stage.outlines:
         seen = (outline.segments @ stage.axes.T)[:, :, :2]
         axes.add_collection(LineCollection(list(seen), colors=INSIDE, linewidths=1.2, linestyles="--"))

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from itertools import combinations, product
 
 import numpy as np
+from markupsafe import Markup
 
 from solver_common.arrays import Array
 
@@ -44,7 +45,29 @@ def scene(digest: Digest) -> Scene | None:
     svg = scene_svg(stage, alt=alt, salt="scene")
     same = all(np.array_equal(case.points, other.points) for other in digest.cases)
     note = "" if same else f"The picture shows {digest.case_name(case)}."
-    return Scene(svg, words, note)
+    return Scene(svg, words, note, _cut_bodies(case))
+
+
+def _cut_bodies(case: CaseResult) -> list[Markup]:
+    """Of each model that cut the body, its parts where they are at full load, with their rotation and strain."""
+    drawn: list[Markup] = []
+    for name, model in case.models.items():
+        of_node, moved = model.part_of_node, model.displacement[case.full_load]
+        told = {key: values[case.full_load] for key, values in model.scalars.items()}
+        if of_node is None or told.get("parts") != of_node.max() or not np.isfinite(moved).all():
+            continue
+        # a node on a cut counts to the last of its parts, so a facet is of the first that one of its nodes is of
+        of_facet = of_node[case.triangles].min(axis=1)
+        parts = []
+        for k in range(1, int(of_node.max()) + 1):
+            nodes = np.isin(np.arange(len(of_node)), case.triangles[of_facet == k])
+            turn, strain = (float(told[f"{what}_of_part_{k}"]) for what in ("rotation", "strain"))
+            words = f"turned {np.degrees(turn):.0f}°, strain {short_percent(strain)}"
+            parts.append(Part(words, f"part {k}", nodes))
+        stage = Stage(case.points + moved, case.triangles, parts)
+        title, words = f"{name} at full load, in parts", _parts_words(case, name)
+        drawn.append(scene_svg(stage, alt=words, salt=f"parts-{len(drawn)}", title=title))
+    return drawn
 
 
 def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:

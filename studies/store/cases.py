@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 SCHEMA = 5
 MOVED = "surface_distance"
+PART = "part_of_node"
 _VTK_TRIANGLE = 5
 _TEXTS_BYTES = 64 << 20  # room for a file's texts and structure
 
@@ -63,7 +64,7 @@ def write_case(path: Path, case: CaseResult) -> None:
     metrics = {name: one for series in case.metrics.values() for name, one in series.items()}
     about = plain(case, without=_NOT_TOLD) | {
         "models": {
-            name: plain(model, without=(*_FIELDS, *_SERIES, "scalars", "frames"))
+            name: plain(model, without=(*_FIELDS, *_SERIES, PART, "scalars", "frames"))
             | {"scalars": list(model.scalars)}
             for name, model in case.models.items()
         },
@@ -119,6 +120,8 @@ def _vtk_entries(case: CaseResult) -> list[Entry]:
         for key, unit in _FIELDS.items():
             flat = getattr(model, key).reshape(n_steps * n_points, 3)
             fields[f"{name}.{key}"] = flat, unit, np.arange(n_steps) * n_points
+        if model.part_of_node is not None:
+            fields[f"{name}.{PART}"] = model.part_of_node.astype(np.int8), "1", none
     fields |= {f"region.{name}": (mask.astype(np.int8), "1", none) for name, mask in case.regions.items()}
     if case.moved is not None:
         fields[MOVED] = np.asarray(case.moved), "m", none
@@ -203,6 +206,7 @@ def _read_fields(file: Stored, about: Mapping[str, Any], n_steps: int) -> dict[s
         "moved": file.floats(data + MOVED) if MOVED in there else None,
     } | {
         name: {key: _per_step(file.floats(f"{data}{name}.{key}"), n_steps) for key in _FIELDS}
+        | {PART: file.integers(f"{data}{name}.{PART}") if f"{name}.{PART}" in there else None}
         for name in about["models"]
     }
 
@@ -222,7 +226,7 @@ def _read_model(
     name: str,
     about: Mapping[str, Any],
     table: Mapping[str, Array],
-    fields: Mapping[str, Array],
+    fields: Mapping[str, Any],
     frames: FrameTimes | None,
 ) -> ModelResult:
     series = {key: table[f"{name}.{key}"] for key in _SERIES}

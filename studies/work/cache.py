@@ -51,6 +51,8 @@ def write_answer(path: Path, result: ModelResult) -> None:
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
     arrays |= {name: getattr(result, name) for name in STEPS}
     arrays |= {f"scalar/{name}": values for name, values in result.scalars.items()}
+    if result.part_of_node is not None:
+        arrays["part_of_node"] = result.part_of_node
     write_arrays(path, arrays)
 
 
@@ -72,6 +74,7 @@ def read_answer(path: Path) -> ModelResult | None:
             for name, values in arrays.items()
             if name.startswith("scalar/")
         },
+        part_of_node=arrays.get("part_of_node"),
     )
 
 

@@ -40,6 +40,26 @@ def test_parts_are_told_with_their_turns_and_strain() -> None:
     assert "Parts" not in dict(scene_words(case, [case]))
 
 
+def test_a_cut_body_is_drawn_with_the_rotation_and_strain_of_each_part() -> None:
+    """And nothing where no model cut it, or where the parts of the state are not those of the nodes."""
+    case = told("a", 0.45, 0.05)
+    each = {"rotation_of_part_1": 0.0, "rotation_of_part_2": np.pi / 6, "strain_of_part_1": 0.12}
+    scalars = {"parts": 2.0, "part_strain": 0.12, **each, "strain_of_part_2": 0.034}
+    at_steps = {name: np.full(len(case.load_factors), value) for name, value in scalars.items()}
+    of_node = np.where(case.points[:, 2] > 0, 2, 1)
+
+    def pictures(part_of_node: np.ndarray | None) -> list[str]:
+        model = dataclasses.replace(case.models["m"], scalars=at_steps, part_of_node=part_of_node)
+        drawn = scene(Digest(make_run([dataclasses.replace(case, models={**case.models, "m": model})])))
+        assert drawn is not None
+        return list(drawn.cut)
+
+    (picture,) = pictures(of_node)
+    for words in ("part 1: turned 0°, strain 12 %", "part 2: turned 30°, strain 3.4 %"):
+        assert words in picture
+    assert pictures(None) == pictures(of_node + 1) == []
+
+
 def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
     """The base ends at z = -0.7 R, where the ball is 71 mm across."""
     cases = [told("a", 0.45, 0.05), told("b", 0.4999, 0.2)]

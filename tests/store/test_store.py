@@ -123,6 +123,7 @@ def test_vtk_reads_surface_fields_and_steps(tmp_path: Path) -> None:
             for field in ("displacement", "reaction_force"):
                 values = vtk_to_numpy(data.GetArray(f"{name}.{field}"))
                 assert_array_equal(values, getattr(model, field)[step], err_msg=f"{name} {step}")
+            assert_array_equal(vtk_to_numpy(data.GetArray(f"{name}.part_of_node")), model.part_of_node)
         assert_array_equal(vtk_to_numpy(data.GetArray("region.base")), case.regions["base"])
 
 
@@ -150,6 +151,7 @@ def test_a_case_is_read_without_what_its_nodes_have(tmp_path: Path) -> None:
     store.write_case(path, case)
     found = store.read_case(path, fields=False, label="another")
     nothing = {"displacement": np.empty((N_STEPS, 0, 3)), "reaction_force": np.empty((N_STEPS, 0, 3))}
+    nothing |= {"part_of_node": None}
     models = {name: dataclasses.replace(model, **nothing) for name, model in case.models.items()}
     bare = {"points": np.empty((0, 3)), "triangles": np.empty((0, 3)), "regions": {}, "moved": None}
     assert_same(dataclasses.replace(case, label="another", models=models, **bare), found)

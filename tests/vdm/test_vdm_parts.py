@@ -187,6 +187,12 @@ def test_a_beam_bends_as_the_elastica() -> None:
     assert isinstance(model.solver, PartsSolver)
     assert found.scalars["parts"][0] >= 4
     assert found.scalars["parts_error"][0] < 0.03
+    assert found.part_of_node is not None
+    own = model.solver._solver.body.cut.parts
+    facets = {tuple(row): k for k, part in enumerate(own, 1) for row in part.tolist()}
+    assert [facets[tuple(row)] for row in BAR[1].tolist()] == found.part_of_node[BAR[1]].min(axis=1).tolist()
+    strains = [found.scalars[f"strain_of_part_{k + 1}"][0] for k in range(len(own))]
+    assert max(strains) == found.scalars["part_strain"][0]
     assert_allclose(found.reaction_force[0].sum(axis=0), [0.0, 0.0, force], rtol=0.0, atol=1e-6 * force)
     assert found.iterations[0] < 25
     moved = SurfaceMesh(points + found.displacement[0], BAR[1]).volume

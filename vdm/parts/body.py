@@ -179,10 +179,10 @@ class Parts:
             at = _dofs(place[sprung])
             self._ground_joining[np.ix_(at, at)] = self._ground[_dofs(sprung)][:, _dofs(sprung)].toarray()
         # of the part that a node of the surface turns with, where a load follows it
-        self._owner = np.zeros(n, np.int64)
+        self.owner = np.zeros(n, np.int64)
         for number, triangles in enumerate(self.cut.parts):
-            self._owner[triangles] = number
-        self._owner = self._owner[: surface.n_nodes]
+            self.owner[triangles] = number
+        self.owner = self.owner[: surface.n_nodes]
         parameters = replace(whole.parameters, ground=None, fluid_in_cavities=False)
         of_shell = np.zeros(n, np.int64)  # nodes of caps are of none, and so are facets with one of them
         of_shell[surface.triangles] = surface.shells[:, None]
@@ -199,7 +199,7 @@ class Parts:
             form.swelling = Swelling.of(form)
             owns = np.zeros(len(nodes), np.bool_)
             on_surface = nodes < surface.n_nodes
-            owns[on_surface] = self._owner[nodes[on_surface]] == number
+            owns[on_surface] = self.owner[nodes[on_surface]] == number
             inner = self.free[nodes] & ~shared[nodes]
             part = _condensed(
                 form, nodes, inner, shared[nodes], owns, walls, place[nodes[shared[nodes]]], block
@@ -234,7 +234,7 @@ class Parts:
             states.append(state)
         gap = gap / self.volumes - 1.0
         turns = np.array([state.rotation for state in states])
-        outer = problem.body.at(x[:n_surface], turns[0] if len(turns) == 1 else turns[self._owner])
+        outer = problem.body.at(x[:n_surface], turns[0] if len(turns) == 1 else turns[self.owner])
         on_surface = problem.deformed_force(load, outer, outer.area_vectors)
         applied[:n_surface] += on_surface
         if load.dead_force is not None:
@@ -408,14 +408,15 @@ class Parts:
     def scalars(self, balance: Balance) -> dict[str, float]:
         """`parts`, `part_rotation` the largest between two [rad], `part_strain` the largest within one.
 
-        And `rotation_of_part_1` and so on, of each from rest [rad].
+        And of each `rotation_of_part_1` from rest [rad], `strain_of_part_1`, and so on.
         """
         turns = np.array([state.rotation for state in balance.parts.states])
         between = _angles(np.einsum("aij,bij->ab", turns, turns))
-        strain = max(surface_strain(state) for state in balance.parts.states)
-        found = {"parts": self.n_parts, "part_rotation": between.max(), "part_strain": strain}
+        strains = [surface_strain(state) for state in balance.parts.states]
+        found = {"parts": self.n_parts, "part_rotation": between.max(), "part_strain": max(strains)}
         each = _angles(np.trace(turns, axis1=1, axis2=2))
         found |= {f"rotation_of_part_{k}": angle for k, angle in enumerate(each, 1)}
+        found |= {f"strain_of_part_{k}": strain for k, strain in enumerate(strains, 1)}
         return {name: float(value) for name, value in found.items()}
 
     def reserved(self, status: Status, balance: Balance) -> Status:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from solver_common.arrays import Index
 from vdm.constraints import Load
 from vdm.material import MOST_PARTS
 from vdm.parts.body import Parts, parts_wanted
@@ -65,6 +66,13 @@ class PartsSolver:
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
         """The step and what its balance on the deformed surface lacks."""
         return self._solver.audited(load, step)
+
+    @property
+    def part_of_node(self) -> Index | None:
+        """See `Solution.part_of_node`."""
+        body = self._solver.body
+        assert isinstance(body, Parts)
+        return body.owner + 1 if body.n_parts > 1 else None
 
     def scalars(self, load: Load, step: Step) -> dict[str, float]:
         """What is told of a step beside its displacement: see `Parts.scalars`, and `parts_error`.
