@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Index
 from vdm.surface import SurfaceMesh
 
 
@@ -30,6 +31,21 @@ class DeformableSurface:
             sparse.coo_array((thirds, (surface.triangles.ravel(), facets)), shape=(surface.n_nodes, n_facets))
         )
 
+    @classmethod
+    def together(cls, bodies: Sequence[DeformableSurface]) -> DeformableSurface:
+        """Several, one after another, each about its own centroid: `origin` is (N, 3), `surface` is none."""
+        joint = cls.__new__(cls)
+        sizes = [len(body.rest) for body in bodies]
+        before = np.cumsum(sizes) - sizes
+        joint.origin = np.repeat([body.origin for body in bodies], sizes, axis=0)
+        joint.rest = np.concatenate([body.rest for body in bodies])
+        joint.levers = np.concatenate([body.levers for body in bodies])
+        joint.corners = np.concatenate(
+            [body.corners + first for body, first in zip(bodies, before, strict=True)], axis=1
+        )
+        joint.gather = sparse.csr_array(sparse.block_diag([body.gather for body in bodies]))
+        return joint
+
     def at(self, displacement: Array, rotation: Array | None = None) -> DeformedSurface:
         """The surface after a displacement (N, 3) [m]; `rotation` as in `DeformedSurface`, where it is known."""
         return DeformedSurface(self, self.rest + displacement, rotation)
@@ -47,7 +63,13 @@ class DeformedSurface:
         a = corners[:, 0]
         (px, py, pz), (qx, qy, qz) = corners[:, 1] - a, corners[:, 2] - a
         self.facet_vectors: Array = 0.5 * np.stack([py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx])
+        self._first_corners = a
         self.volume = float(np.vdot(a, self.facet_vectors)) / 3.0
+
+    def volumes(self, first: Index) -> Array:
+        """(m,) of bodies that lie one after another, the facets of body b from first[b] on [m^3]."""
+        each = np.einsum("cf,cf->f", self._first_corners, self.facet_vectors)
+        return np.asarray(np.add.reduceat(each, first)) / 3.0
 
     @cached_property
     def area_vectors(self) -> Array:
@@ -88,19 +110,21 @@ def follow(force: Array, rest_vectors: Array, state: DeformedSurface) -> Array:
     turns takes its forces along. A force -p g0 becomes -p g exactly; one along a patch's rim keeps its angle to
     the normal.
     """
-    vectors = state.area_vectors
-    rest_size = np.linalg.norm(rest_vectors, axis=1)
-    size = np.linalg.norm(vectors, axis=1)
-    loaded = np.flatnonzero(force.any(axis=1))
     turned = np.zeros_like(force)
+    loaded = np.flatnonzero(force.any(axis=1))
+    if not len(loaded):
+        return turned
+    vectors, rest_vectors = state.area_vectors[loaded], rest_vectors[loaded]
+    rest_size = np.linalg.norm(rest_vectors, axis=1)[:, None]
+    size = np.linalg.norm(vectors, axis=1)[:, None]
     turn = state.rotation if state.rotation.ndim == 2 else state.rotation[loaded]
     f = (force[loaded, None] @ turn)[:, 0]
-    before = (rest_vectors[loaded, None] / rest_size[loaded, None, None] @ turn)[:, 0]
-    after = vectors[loaded] / size[loaded, None]
+    before = (rest_vectors[:, None] / rest_size[:, None] @ turn)[:, 0]
+    after = vectors / size
     axis = np.cross(before, after)
     cosine = np.einsum("ic,ic->i", before, after)[:, None]
     once = np.cross(axis, f)
     # at a half turn no least rotation exists; such a node has long left the range of the model
-    turned[loaded] = f + once + np.cross(axis, once) / np.maximum(1.0 + cosine, 1e-12)
-    scaled: Array = turned * (size / rest_size)[:, None]
-    return scaled
+    least = f + once + np.cross(axis, once) / np.maximum(1.0 + cosine, 1e-12)
+    turned[loaded] = least * (size / rest_size)
+    return turned

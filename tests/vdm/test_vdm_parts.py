@@ -161,6 +161,40 @@ def test_frames_on_a_kept_slope_are_those_of_one_made_for_each(monkeypatch: pyte
     assert_allclose(warm.displacement[-1], cold.displacement[0], rtol=0.0, atol=1e-6 * size)
 
 
+def test_parts_at_once_are_as_parts_one_by_one() -> None:
+    body, x = bent(clamped(BAR), 4)
+    pressure = 400.0 + np.arange(4)
+    balance = body.balance(Load(np.zeros(len(BAR[0]))), x, pressure)
+    force, energy = np.zeros_like(x), 0.0
+    for number, part in enumerate(body.parts):
+        moved = x[part.nodes]
+        state = part.body.at(moved)
+        own = part.form.deformed_internal_force(moved, state)
+        force[part.nodes] += own - pressure[number] * state.area_vectors
+        energy += part.form.deformed_energy(moved, state)
+        assert_allclose(
+            balance.gap[number], state.volume / part.form.surface.volume - 1.0, rtol=0.0, atol=1e-14
+        )
+        assert_allclose(balance.parts.turns[number], state.rotation, rtol=0.0, atol=1e-13)
+    assert_allclose(balance.lacking, force, rtol=0.0, atol=1e-12 * np.abs(force).max())
+    assert body.energy(balance) == pytest.approx(energy, rel=1e-12)
+
+
+def test_a_slope_that_is_kept_closes_the_volumes_of_the_state() -> None:
+    body, x = bent(clamped(BAR), 4)
+    load, pressure = Load(np.zeros(len(BAR[0]))), np.full(4, 400.0)
+    state = body.balance(load, x, pressure)
+    body.correction(state, state.lacking, state.gap, np.eye(3))
+    slope = body._slope
+    way = np.random.default_rng(2).standard_normal(x.shape)
+    other = body.balance(load, x + np.where(body.free[:, None], 1e-3 * SIDE * way, 0.0), pressure)
+    change = np.zeros_like(x)
+    change[body.free] = 1e-4 * body.correction(other, np.zeros_like(x), other.gap, np.eye(3))[0]
+    assert body._slope is slope
+    ahead, behind = (body.balance(load, other.x + s * change, pressure).gap for s in (1.0, -1.0))
+    assert_allclose(0.5 * (ahead - behind), -1e-4 * other.gap, rtol=1e-4, atol=0.0)
+
+
 def test_parts_cost_a_small_motion_no_accuracy() -> None:
     """Of 1, 4 and 8 parts under a force that bends by a thousandth: 0.5 % apart."""
     points = BAR[0]

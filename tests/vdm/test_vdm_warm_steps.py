@@ -10,7 +10,7 @@ from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, model
 from vdm import FORMULATIONS, Load, Model, Parameters
 from vdm.deformed import DeformableSurface
 from vdm.solvers.anderson import Anderson
-from vdm.solvers.nonlinear import _share
+from vdm.solvers.nonlinear import _lagrange, _share
 
 TOP = (POINTS[TRIANGLES][:, :, 2] > 0.03).all(axis=1)
 SIDE = (POINTS[TRIANGLES][:, :, 0] > 0.03).all(axis=1)
@@ -73,15 +73,21 @@ def test_share_of_a_load_that_goes_on():
 
     assert_allclose(between(1.0, 1.5, 1.75), 0.5, rtol=1e-12, atol=0.0)
     assert_allclose(between(1.0, 1.5, 1.0), -1.0, rtol=1e-12, atol=0.0)
-    assert between(1.0, 1.1, 5.0) == 0.0, "too far ahead"
-    assert between(1.0, 1.0, 1.5) == 0.0, "nothing to go on from"
-    assert between(1.0, 1.5, 1.5) == 0.0, "no change"
-    assert _share(PUSH, PUSH.scaled(1.5), NUDGE) == 0.0, "another direction"
+    assert between(1.0, 1.5, 1.5) == 0.0
+    assert np.isnan(between(1.0, 1.0, 1.5)), "nothing to go on from"
+    assert np.isnan(_share(PUSH, PUSH.scaled(1.5), NUDGE)), "another direction"
     moved = np.ones((len(POINTS), 3))
     grown = [
         Load(s * PUSH.contact_pressure, None, r * moved) for s, r in ((1.0, 1.0), (2.0, 2.0), (3.0, 2.2))
     ]
-    assert _share(*grown) == 0.0, "pressure and displacement part ways"
+    assert np.isnan(_share(*grown)), "pressure and displacement part ways"
+
+
+def test_what_lies_ahead_on_a_polynomial_is_found():
+    places = np.array([-1.7, -1.0, 0.0])
+    assert_allclose(_lagrange(places, 1.2) @ (3.0 - 2.0 * places + places**2), 3.0 - 2.4 + 1.44, rtol=1e-12)
+    assert_allclose(_lagrange(places[1:], 1.2) @ (3.0 - 2.0 * places[1:]), 3.0 - 2.4, rtol=1e-12)
+    assert not np.isfinite(_lagrange(np.zeros(2), 1.0)).any()
 
 
 def test_mixing_that_goes_on_to_a_neighbouring_map_reaches_its_own_fixed_point_sooner():

@@ -28,14 +28,14 @@ import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
+from scipy import sparse
 
 from solver_common.arrays import Array, Index, Mask
 from vdm.constraints import Load
-from vdm.deformed import DeformableSurface, DeformedSurface
+from vdm.deformed import DeformableSurface, DeformedSurface, best_rotation
 from vdm.formulations.base import Factor
 from vdm.parts.cut import cut
-from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFactor
+from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFactor, moments, turned_back
 from vdm.problem import Problem
 from vdm.solution import Status
 from vdm.solvers.nonlinear import Balance
@@ -44,10 +44,7 @@ from vdm.surface import SurfaceMesh
 # rotation within a part [rad] that small strain in its frame bears: half of its square is the strain that it feigns
 MOST_TURN = np.radians(10.0)
 SAME_TURN = 0.01  # change of a rotation that a correction does not mind: a factor is made anew beyond it
-LEAST_GAIN, ANOTHER_LOAD = (
-    0.1,
-    1e3,
-)  # of what lacks: a slope that leaves more is made anew; more is another load's
+MOST_LEFT = 0.2  # of what lacks: a slope that leaves more is made anew
 FINEST = 16  # parts that the spread of rotations is read from
 # of the surface's area: its strain is below that of the rest, which grows at rims without limit on finer meshes
 MOST_AREA = 0.99
@@ -92,22 +89,30 @@ class _Part:
 
 @dataclass(frozen=True)
 class _Acting:
-    """What acts on the parts in a state.
+    """What acts on the parts in a state. Nodes of all parts, one part after another, are n_p.
 
     Attributes
     ----------
-    states : each part's surface
+    load : that it is under
+    state : (n_p,) surfaces of all parts
+    turns : (m, 3, 3) their rotations
+    away : (n_p, 3) displacement in each part's frame
+    energy : of the parts [J]
     on_surface : (N, 3) contact on the whole surface [N]
     weight : (n,) pressure of the weight at all nodes [Pa]
     rise : (3,) its slope [Pa/m]
-    filled : each part's (n, 3, k) gradient of the volumes of the cavities that a fluid fills
+    filled : (n_p, 3, k) gradient of the volumes of the cavities that a fluid fills
     """
 
-    states: list[DeformedSurface]
+    load: Load
+    state: DeformedSurface
+    turns: Array
+    away: Array
+    energy: float
     on_surface: Array
     weight: Array
     rise: Array
-    filled: list[Array]
+    filled: Array
 
 
 @dataclass(frozen=True)
@@ -205,36 +210,42 @@ class Parts:
                 form, nodes, inner, shared[nodes], owns, walls, place[nodes[shared[nodes]]], block
             )
             self.parts.append(part)
-        cavities = [self._cavity(part, part.body.at(np.zeros((len(part.nodes), 3)))) for part in self.parts]
-        self.volumes = np.append(
-            [part.form.surface.volume for part in self.parts], sum(held for held, _ in cavities)
-        )
+        # all parts at once, one after another
+        self._joint = DeformableSurface.together([part.body for part in self.parts])
+        self._nodes = np.concatenate([part.nodes for part in self.parts])
+        self._walls = np.concatenate([part.walls for part in self.parts])
+        sizes = np.array([len(part.nodes) for part in self.parts], np.int64)
+        facets = np.array([len(part.walls) for part in self.parts], np.int64)
+        self._part = np.repeat(np.arange(self.n_parts), sizes)
+        self._first, self._first_facet = np.cumsum(sizes) - sizes, np.cumsum(facets) - facets
+        self._spans = [slice(start, start + size) for start, size in zip(self._first, sizes, strict=True)]
+        every = np.arange(len(self._nodes))
+        ones = np.ones(len(every))
+        self._sum = sparse.csr_array(sparse.coo_array((ones, (self._nodes, every)), shape=(n, len(every))))
+        held_at_rest = self._cavities(self._joint.at(np.zeros((len(every), 3))))[0]
+        self.volumes = np.append([part.form.surface.volume for part in self.parts], held_at_rest)
         self.wanted = 1
         self._turns: Array | None = None
         self._slope: _Slope | None = None
-        self._lacked = np.inf  # of the last correction
-        self._factor = self._ground_joining
+        self._lacked = np.inf  # at the last correction, and under which load
+        self._load: Load | None = None
+        self._factor: Factor = _Nothing()
 
     def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
         """As in `Large`."""
         problem, n_surface = self.problem, self.problem.formulation.surface.n_nodes
-        internal, applied = np.zeros_like(x), np.zeros_like(x)
-        gap, filled = np.zeros(self.n_pressures), list[Array]()
-        states: list[DeformedSurface] = []
-        for number, part in enumerate(self.parts):
-            moved = x[part.nodes]
-            state = part.body.at(moved)
-            internal[part.nodes] += part.form.deformed_internal_force(moved, state)
-            applied[part.nodes] += pressure[number] * state.area_vectors
-            gap[number] = state.volume
-            held, gradient = self._cavity(part, state)
-            gap[self.n_parts :] += held
-            applied[part.nodes] += gradient @ pressure[self.n_parts :]
-            filled.append(gradient)
-            states.append(state)
-        gap = gap / self.volumes - 1.0
-        turns = np.array([state.rotation for state in states])
-        outer = problem.body.at(x[:n_surface], turns[0] if len(turns) == 1 else turns[self.owner])
+        m, state = self.n_parts, self._joint.at(x[self._nodes])
+        turns = best_rotation(moments(self._joint.levers, state.positions, self._first))
+        away = np.einsum("nj,nij->ni", state.positions, turns[self._part]) - self._joint.rest
+        forces = np.concatenate(
+            [part.form.swollen_force(away[span]) for part, span in zip(self.parts, self._spans, strict=True)]
+        )
+        internal = np.asarray(self._sum @ turned_back(forces, turns, state, self._first))
+        held, filled = self._cavities(state)
+        pushed = pressure[self._part][:, None] * state.area_vectors + filled @ pressure[m:]
+        applied = np.asarray(self._sum @ pushed)
+        gap = np.append(state.volumes(self._first_facet), held) / self.volumes - 1.0
+        outer = problem.body.at(x[:n_surface], turns[0] if m == 1 else turns[self.owner])
         on_surface = problem.deformed_force(load, outer, outer.area_vectors)
         applied[:n_surface] += on_surface
         if load.dead_force is not None:
@@ -247,21 +258,21 @@ class Parts:
             rise = load.weight * problem.support.density * problem.support.gravity
             weight = (self.rest + x) @ rise - float((problem.body.rest @ rise).min())
             on_surface = on_surface - weight[:n_surface, None] * outer.area_vectors
-        acting = _Acting(states, on_surface, weight, rise, filled)
+        energy = 0.5 * float(np.vdot(away, forces))
+        acting = _Acting(load, state, turns, away, energy, on_surface, weight, rise, filled)
         return Balance(x, pressure, gap, internal - applied, scale, acting)
 
-    def _cavity(self, part: _Part, state: DeformedSurface) -> tuple[Array, Array]:
-        """What a part's facets add to the volumes (k,) of filled cavities, and their gradient (n, 3, k).
+    def _cavities(self, state: DeformedSurface) -> tuple[Array, Array]:
+        """Volumes (k,) of the filled cavities, and their gradient (n_p, 3, k) at the nodes of all parts.
 
-        The volume is that to the rest centroid of the body; its sum over the parts is the cavity's.
+        Parts add volumes to the rest centroid of the body; their sum is the cavity's.
         """
-        vectors = np.where(part.walls[:, :, None], state.facet_vectors.T[:, None], 0.0)
-        corners = (
-            state.positions[part.form.surface.triangles[:, 0]] + part.body.origin - self.problem.body.origin
-        )
-        gradient = [part.body.gather @ np.ascontiguousarray(-vectors[:, k]) for k in range(self._n_filled)]
-        if not gradient:
-            return np.zeros(0), np.zeros((len(part.nodes), 3, 0))
+        if not self._n_filled:
+            return np.zeros(0), np.zeros((len(self._nodes), 3, 0))
+        vectors = np.where(self._walls[:, :, None], state.facet_vectors.T[:, None], 0.0)
+        corner = self._joint.corners[0]
+        corners = state.positions[corner] + self._joint.origin[corner] - self.problem.body.origin
+        gradient = [self._joint.gather @ np.ascontiguousarray(-vectors[:, k]) for k in range(self._n_filled)]
         return np.einsum("fkc,fc->k", vectors, corners) / -3.0, np.stack(gradient, axis=2)
 
     def correction(
@@ -274,8 +285,9 @@ class Parts:
         """As in `Large`."""
         m, k, acting = self.n_parts, BORDER, balance.parts
         slope = self._slope_for(balance, lacking, gap)
+        kept = np.append(k * np.arange(m), k * m + np.arange(self._n_filled))  # rows of volumes
         target = np.zeros(len(slope.system))
-        target[: k * m : k], target[k * m :] = np.split(-gap * self.volumes, [m])
+        target[kept] = -gap * self.volumes
         right, inside = -lacking[self._shared], list[Array]()
         for part, q, columns, pushes in zip(
             self.parts, slope.turns, slope.columns, slope.pushes, strict=True
@@ -286,33 +298,43 @@ class Parts:
             target[columns] -= pushes.T @ inside[-1]
             if len(part.places):
                 right[part.places] -= (part.follows.T @ within).reshape(-1, 3) @ q
-        first = right.reshape(-1)
-        if len(first):
-            first = linalg.cho_solve((self._factor, True), first, check_finite=False)
-        push = np.linalg.solve(slope.system, target - slope.border.T @ first)
-        moved_together = (first + slope.answers @ push).reshape(-1, 3)
+        first = np.asarray(self._factor.solve(right.reshape(-1)))
+        push = np.asarray(np.linalg.solve(slope.system, target - slope.border.T @ first), np.float64)
+        change = self._moved(slope, first, inside, push)
+        # a slope that is kept has the gradients of its own state's volumes: they are closed by those of this one
+        moved, missed = change[self._nodes], np.zeros_like(target)
+        flux = np.add.reduceat(np.einsum("nc,nc->n", acting.state.area_vectors, moved), self._first)
+        missed[kept] = -gap * self.volumes - np.append(flux, np.einsum("nck,nc->k", acting.filled, moved))
+        push = push + np.linalg.solve(slope.system, missed)
+        change = self._moved(slope, first, inside, push)
+        # the pressure of the weight rises where a part goes down as one
+        sunk = [part.areas @ change[part.nodes] @ acting.rise for part in self.parts]
+        return change[self.free], push[kept] - np.append(sunk, np.zeros(self._n_filled))
+
+    def _moved(self, slope: _Slope, first: Array, inside: list[Array], push: Array) -> Array:
+        """(n, 3) by what nodes that are shared (3 n_C,) and inside move without q, and by q."""
+        together = (first + slope.answers @ push).reshape(-1, 3)
         change = np.zeros((len(self.free), 3))
-        change[self._shared] = moved_together
+        change[self._shared] = together
         for e, (part, q) in enumerate(zip(self.parts, slope.turns, strict=True)):
             moved = inside[e] + slope.inside[e] @ push[slope.columns[e]]
             if len(part.places):
-                moved = moved - part.follows @ (moved_together[part.places] @ q.T).reshape(-1)
+                moved = moved - part.follows @ (together[part.places] @ q.T).reshape(-1)
             change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ q
-        # the pressure of the weight rises where a part goes down as one
-        sunk = [part.areas @ change[part.nodes] @ acting.rise for part in self.parts]
-        return change[self.free], np.append(push[: k * m : k] - sunk, push[k * m :])
+        return change
 
     def _slope_for(self, balance: Balance, lacking: Array, gap: Array) -> _Slope:
         """The slope of a state, or the last one where parts have hardly turned and it still gains a digit.
 
-        What lacks far more than at the last correction is another load's, and tells nothing of the slope.
+        What another load lacked tells nothing of the slope, nor do volumes alone.
         """
-        turns = np.array([state.rotation for state in balance.parts.states])
+        turns = balance.parts.turns
         lacks = max(
             float(np.linalg.norm(lacking[self.free])) / (balance.scale or 1.0), float(np.abs(gap).max())
         )
-        gains = not LEAST_GAIN * self._lacked < lacks < ANOTHER_LOAD * self._lacked
-        self._lacked = lacks
+        gains = balance.parts.load is not self._load or lacks <= MOST_LEFT * self._lacked
+        if lacking.any():
+            self._lacked, self._load = lacks, balance.parts.load
         if self._slope is None or not gains or np.abs(turns - self._slope.turns).max() > SAME_TURN:
             self._slope = self._slope_at(balance, self._joined_at(turns))
         return self._slope
@@ -327,8 +349,8 @@ class Parts:
         pushed, inside = list[Array](), list[Array]()
         for e, (part, q, at) in enumerate(zip(self.parts, turns, columns, strict=True)):
             turning, own = self._turning(e, q, balance)
-            filled = np.einsum("nck,dc->ndk", acting.filled[e], q)
-            pressed = (acting.states[e].area_vectors @ q.T)[:, :, None]
+            filled = np.einsum("nck,dc->ndk", acting.filled[self._spans[e]], q)
+            pressed = (acting.state.area_vectors[self._spans[e]] @ q.T)[:, :, None]
             pushes = np.concatenate([pressed, turning, filled], axis=2)
             within = pushes[part.inner].reshape(-1, len(at))
             pushed.append(within)
@@ -341,7 +363,7 @@ class Parts:
                 joined = pushes[part.shared] - (part.follows.T @ within).reshape(-1, 3, len(at))
                 border[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", joined, q)
         flat = border.reshape(3 * n, size)
-        answers = linalg.cho_solve((self._factor, True), flat, check_finite=False) if n else flat
+        answers = np.asarray(self._factor.solve(np.asfortranarray(flat)))
         return _Slope(turns, columns, pushed, inside, flat, answers, flat.T @ answers + corner)
 
     def _turning(self, number: int, q: Array, balance: Balance) -> tuple[Array, Array]:
@@ -349,20 +371,20 @@ class Parts:
 
         See the head of this file. The part is pressed on its closed surface by its weight too: it turns as one.
         """
-        part, acting = self.parts[number], balance.parts
-        state, levers = acting.states[number], part.body.levers
-        y = state.positions @ q.T
+        part, acting, span = self.parts[number], balance.parts, self._spans[number]
+        levers = part.body.levers
+        y = acting.state.positions[span] @ q.T
         away = y - part.body.rest
         y = y - part.areas @ y
         stretch = levers.T @ y
         inertia = np.trace(stretch) * np.eye(3) - stretch
         turned = (y @ _TURNED).reshape(-1, 3, 3)
         stressed = part.form.swollen_forces(np.concatenate([away[:, :, None], turned], axis=2))
-        vectors = state.area_vectors @ q.T
+        vectors = acting.state.area_vectors[span] @ q.T
         pushed = (balance.pressure[number] + acting.weight[part.nodes])[:, None] * vectors
         own = part.nodes[part.owns]
         pushed[part.owns] += acting.on_surface[own] @ q.T
-        pushed += acting.filled[number] @ balance.pressure[self.n_parts :] @ q.T
+        pushed += acting.filled[span] @ balance.pressure[self.n_parts :] @ q.T
         slope = ((stressed[:, :, 0] - pushed) @ _TURNED).reshape(-1, 3, 3) - stressed[:, :, 1:]
         slope -= vectors[:, :, None] * ((q @ acting.rise) @ turned)[:, None, :]
         met = turned.reshape(-1, 3).T @ slope.reshape(-1, 3)
@@ -382,16 +404,13 @@ class Parts:
                 dofs = _dofs(part.places)
                 matrix[np.ix_(dofs, dofs)] += _turned_block(part.carried, q)
         if len(matrix):
-            self._factor = linalg.cholesky(matrix, lower=True, overwrite_a=True, check_finite=False)
+            self._factor = DenseFactor(matrix)
         self._turns = turns
         return turns
 
     def energy(self, balance: Balance) -> float:
         """Elastic energy [J], that of springs to the ground too."""
-        total = sum(
-            part.form.deformed_energy(balance.x[part.nodes], state)
-            for part, state in zip(self.parts, balance.parts.states, strict=True)
-        )
+        total: float = balance.parts.energy
         if self._ground is not None:
             u = balance.x[: self.problem.formulation.surface.n_nodes].reshape(-1)
             total += 0.5 * float(u @ (self._ground @ u))
@@ -400,9 +419,9 @@ class Parts:
     def mean_pressure(self, balance: Balance) -> float:
         """By volume [Pa]: a part's is that of the tractions, as in one that is not swollen."""
         volumes, shares = self.volumes[: self.n_parts], 0.0
-        for part, state in zip(self.parts, balance.parts.states, strict=True):
+        for part, span in zip(self.parts, self._spans, strict=True):
             assert part.form.swelling is not None
-            shares += part.form.swelling.pressure(part.form.unturned(state)[1]) / 3.0
+            shares += part.form.swelling.pressure(balance.parts.away[span]) / 3.0
         return float((balance.pressure[: self.n_parts] @ volumes + shares) / volumes.sum())
 
     def scalars(self, balance: Balance) -> dict[str, float]:
@@ -410,14 +429,18 @@ class Parts:
 
         And of each `rotation_of_part_1` from rest [rad], `strain_of_part_1`, and so on.
         """
-        turns = np.array([state.rotation for state in balance.parts.states])
+        turns = balance.parts.turns
         between = _angles(np.einsum("aij,bij->ab", turns, turns))
-        strains = [surface_strain(state) for state in balance.parts.states]
+        strains = self._strains(balance)
         found = {"parts": self.n_parts, "part_rotation": between.max(), "part_strain": max(strains)}
         each = _angles(np.trace(turns, axis1=1, axis2=2))
         found |= {f"rotation_of_part_{k}": angle for k, angle in enumerate(each, 1)}
         found |= {f"strain_of_part_{k}": strain for k, strain in enumerate(strains, 1)}
         return {name: float(value) for name, value in found.items()}
+
+    def _strains(self, balance: Balance) -> list[float]:
+        """Of each part, see `surface_strain`."""
+        return [surface_strain(part.body.at(balance.x[part.nodes])) for part in self.parts]
 
     def reserved(self, status: Status, balance: Balance) -> Status:
         """The status, with what the parts do not follow: too few of them, strain within one."""
@@ -426,7 +449,7 @@ class Parts:
             message = f"the load bends the body: {self.wanted} parts are called for, and {self.n_parts} made"
             why = f" ({self.cut.refused})" if self.cut.refused else ""
             told.append((message + why, "refine the surface, or use finite elements"))
-        strain = max(surface_strain(state) for state in balance.parts.states)
+        strain = max(self._strains(balance))
         if strain > LARGEST_STRAIN:
             told.append(
                 (
@@ -480,7 +503,7 @@ def _angles(traces: Array) -> Array:
 
 
 class _Nothing:
-    """The factor of a part without inner nodes that are free."""
+    """The factor of no unknowns: of a part without inner nodes that are free, of parts that share none."""
 
     def solve(self, right_hand_side: Array) -> Array:
         return right_hand_side

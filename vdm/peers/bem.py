@@ -24,6 +24,7 @@ MAX_NODES = 2000
 INVERTED = 3000
 # smallest over largest pivot of a factor that is told from a singular one
 PIVOT_TOLERANCE = 1e-8
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # of the axes
 DENSE = Status(
     "dense", "boundary elements have a dense factor, in double precision only", "use the linear solver"
 )
@@ -158,9 +159,8 @@ class BoundaryFormulation(DisplacementFormulation):
         return self.elastic_force(x) + self.ground_force(x)
 
     def elastic_force(self, x: Array) -> Array:
-        """S u, (N, 3)."""
-        force: Array = (self.matrix @ x.reshape(-1)).reshape(-1, 3)
-        return force
+        """S u, (N, 3), which reads half of the matrix."""
+        return np.asarray(blas.dsymv(1.0, self.matrix.T, x.reshape(-1), lower=1)).reshape(-1, 3)
 
     def elastic_forces(self, x: Array) -> Array:
         """S u of k displacements (N, 3, k) at once, which reads the matrix once."""
@@ -215,23 +215,21 @@ class BoundaryFormulation(DisplacementFormulation):
 
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
         turn, unturned = self.unturned(state)
-        force = self.swollen_forces(unturned[:, :, None])[:, :, 0] @ turn
-        # dQ = Q [omega]x with (tr P - P) omega = -sum levers x dx, P = sum levers (x) positions, is symmetric;
-        # the energy changes by omega . sum positions x force
-        levers = state.body.levers @ turn
-        stretch = levers.T @ state.positions
-        inertia = np.trace(stretch) * np.eye(3) - stretch
-        pull = np.linalg.solve(inertia, _axial(state.positions.T @ force))
-        balanced: Array = force - levers @ _turning(pull)
-        return balanced + self.ground_force(x)
+        force, whole = self.swollen_force(unturned), np.zeros(1, np.int64)
+        return turned_back(force, turn[None], state, whole) + self.ground_force(x)
 
     def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
         unturned = self.unturned(state)[1]
-        force = self.swollen_forces(unturned[:, :, None])[:, :, 0]
+        force = self.swollen_force(unturned)
         return 0.5 * float(np.vdot(unturned, force) + np.vdot(x, self.ground_force(x)))
 
+    def swollen_force(self, x: Array) -> Array:
+        """Force (N, 3) of a displacement in the body's frame at large displacements: S u and its swelling."""
+        force = self.elastic_force(x)
+        return force if self.swelling is None else force + self.swelling.forces(x)
+
     def swollen_forces(self, x: Array) -> Array:
-        """Forces of k displacements (N, 3, k) in the body's frame at large displacements: S u and its swelling."""
+        """The same of k displacements (N, 3, k) at once."""
         force = self.elastic_forces(x)
         return force if self.swelling is None else force + self.swelling.forces(x)
 
@@ -270,7 +268,7 @@ class Swelling:
         return cls(vectors, np.array([[np.vdot(arms, pulled), -1.0], [-1.0, 0.0]]))
 
     def forces(self, x: Array) -> Array:
-        """(N, 3, k) of displacements (N, 3, k)."""
+        """Of displacements (N, 3) or (N, 3, k), of their shape."""
         flat = x.reshape(len(self.vectors), -1)
         return np.asarray(self.vectors @ (self.core @ (self.vectors.T @ flat))).reshape(x.shape)
 
@@ -297,16 +295,30 @@ class SwollenFactor:
         return found - self._answers @ np.linalg.solve(self._small, self._vectors.T @ found)
 
 
-def _axial(products: Array) -> Array:
-    """sum p_i x f_i of the sums (3, 3) of p_i f_i^T."""
-    skew = products - products.T
-    return np.array([skew[1, 2], skew[2, 0], skew[0, 1]])
+def turned_back(force: Array, turns: Array, state: DeformedSurface, first: Index) -> Array:
+    """Elastic forces (N, 3) in the world of bodies that lie one after another, of those in their frames.
+
+    Body b has its nodes from first[b] on and the best-fit rotation turns[b]. The energy changes with it too:
+    dQ = Q [omega]x with `(tr P - P) omega = -sum levers x dx`, `P = sum levers (x) positions`, is symmetric, and it
+    changes by `omega . sum positions x force`.
+    """
+    sizes = np.diff(first, append=len(force))
+    of_node = np.repeat(turns, sizes, axis=0)
+    force, levers = (np.einsum("ni,nij->nj", rows, of_node) for rows in (force, state.body.levers))
+    stretch = moments(levers, state.positions, first)
+    inertia = np.trace(stretch, axis1=1, axis2=2)[:, None, None] * np.eye(3) - stretch
+    products = moments(state.positions, force, first)
+    skew = products - products.transpose(0, 2, 1)
+    twist = np.stack([skew[:, 1, 2], skew[:, 2, 0], skew[:, 0, 1]], axis=1)[:, :, None]
+    pull = np.repeat(np.linalg.solve(inertia, twist)[:, :, 0], sizes, axis=0)
+    following = pull[:, _NEXT] * levers[:, _LAST] - pull[:, _LAST] * levers[:, _NEXT]
+    balanced: Array = force - following
+    return balanced
 
 
-def _turning(axis: Array) -> Array:
-    """(3, 3) W with v W = axis x v for rows v."""
-    x, y, z = axis
-    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+def moments(arms: Array, vectors: Array, first: Index) -> Array:
+    """(m, 3, 3) sums of arm^T vector over nodes (N, 3), those of body b from first[b] on."""
+    return np.asarray(np.add.reduceat(arms[:, :, None] * vectors[:, None, :], first, axis=0))
 
 
 def too_large(n_nodes: int) -> Status:

@@ -24,7 +24,7 @@ SMALLEST_SUBSTEP = 1.0 / 64.0
 # of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
 AS_ONE = 0.3
 LEAST_TURN = 1e-9  # of the second moment of the held nodes: rotations about which they say less are not made
-FURTHEST_AHEAD = 2.0  # increments of load that are extrapolated
+FURTHEST_AHEAD = 8.0  # sum of the weights of converged states, without their signs, that a start is made of
 # sizes of the body; forces that move it less are measured by those that move it so far
 SMALLEST_MOTION = 1e-6
 # of the balance's residual over the larger of the internal and the applied forces, or over the force of a pressure
@@ -220,19 +220,19 @@ class NonlinearSolver:
         self._rounding = self._moved_by_rounding(size)
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)), weight=0.0)
         self._rest = _Converged(unloaded, np.zeros((len(self.free), d)), np.zeros(self.body.n_pressures))
-        self._last = self._before = self._rest
+        self._path = [self._rest]  # the last three
         self._largest = 0.0
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
-        """Solution of one load; with a previous step, started where the last two converged ones point to.
+        """Solution of one load; with a previous step, started where the last three converged ones point to.
 
         A start and what is known of the slope change the number of iterations, not what they converge to.
         """
         if previous is None:
-            self._last = self._before = self._rest
+            self._path = [self._rest]
             self._largest = 0.0
             self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
-        last = self._last
+        last = self._path[-1]
         x, pressure = self._ahead(load)
         reached, width, iterations = 0.0, 1.0, 0
         balance: Balance | None = None
@@ -255,7 +255,7 @@ class NonlinearSolver:
             balance, x, pressure, reached = found, found.x, found.pressure, target
         if balance is None or reached < 1.0:
             return self._failed(reached, iterations)
-        self._before, self._last = last, _Converged(load, x, pressure)
+        self._path = [*self._path[-2:], _Converged(load, x, pressure)]
         return DeformedStep(
             problem=self.problem,
             unknown=x[: self.problem.formulation.surface.n_nodes].copy(),
@@ -310,12 +310,18 @@ class NonlinearSolver:
         return float(np.abs(formulation.displacement(change)).max())
 
     def _ahead(self, load: Load) -> tuple[Array, Array]:
-        """Where the last two converged steps point to under a load that goes on as it went between them."""
-        before, last = self._before, self._last
-        share = _share(before.load, last.load, load)
-        if share == 0.0:
-            return last.x, last.pressure
-        return last.x + share * (last.x - before.x), last.pressure + share * (last.pressure - before.pressure)
+        """Where converged steps point to under a load that goes on as they went: the polynomial through them.
+
+        Through the last three where their loads are in line too, or two, or the last one as it is.
+        """
+        for path in (self._path[-3:], self._path[-2:]):
+            before, last = path[-2:] if len(path) > 1 else path * 2
+            places = [_share(before.load, last.load, state.load) for state in path]
+            weights = _lagrange(np.array(places), _share(before.load, last.load, load))
+            if np.abs(weights).sum() <= FURTHEST_AHEAD:
+                x, pressure = ([getattr(state, name) for state in path] for name in ("x", "pressure"))
+                return np.tensordot(weights, x, 1), np.tensordot(weights, pressure, 1)
+        return last.x, last.pressure
 
     def _failed(self, reached: float, iterations: int) -> Step:
         surface, d = self.problem.formulation.surface, self.problem.formulation.components
@@ -427,7 +433,7 @@ def _hidden(rounding: float, moved: float) -> Status:
 
 
 def _share(before: Load, last: Load, load: Load) -> float:
-    """The s for which load - last is s (last - before) to a tenth, in every part; 0 where there is none."""
+    """The s for which load - last is s (last - before) to a tenth, in every part; NaN where there is none."""
     shares: list[float] = []
     for part in ("contact_pressure", "contact_force", "prescribed", "dead_force", "weight"):
         values = (getattr(state, part) for state in (before, last, load))
@@ -436,13 +442,23 @@ def _share(before: Load, last: Load, load: Load) -> float:
         if not old.any() and not new.any():
             continue
         size = float(np.vdot(old, old))
-        share = float(np.vdot(old, new)) / size if size > 0.0 else np.inf
-        if not abs(share) <= FURTHEST_AHEAD or np.linalg.norm(new - share * old) > 0.1 * np.linalg.norm(new):
-            return 0.0
+        share = float(np.vdot(old, new)) / size if size > 0.0 else np.nan
+        if not np.linalg.norm(new - share * old) <= 0.1 * np.linalg.norm(new):
+            return np.nan
         shares.append(share)
     if not shares or max(shares) - min(shares) > 0.1 * max(map(abs, shares)):
-        return 0.0
+        return np.nan
     return shares[0]
+
+
+def _lagrange(places: Array, place: float) -> Array:
+    """(k,) weights of values at k places in their polynomial at another place; not finite where two places meet."""
+    apart = places[:, None] - places
+    np.fill_diagonal(apart, 1.0)
+    ahead = np.where(np.eye(len(places)) > 0.0, 1.0, place - places)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights: Array = (ahead / apart).prod(axis=1)
+    return weights
 
 
 def _between(start: Load, end: Load, share: float) -> Load:
