@@ -31,6 +31,9 @@ SMALLEST_MOTION = 1e-6
 # that moves the body by `SMALLEST_MOTION` where both are smaller
 TOLERANCE = 1e-8
 VOLUME_TOLERANCE = 1e-13  # of |V - V0| / V0
+# of that residual: between them the slope of a state has its corrections mixed too. Below a correction or two by it
+# alone leave the volumes closed, which a mixture does not
+NEAR, BY_SLOPE = 0.02, 100 * TOLERANCE
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
 NOT_CONVERGED = (
@@ -185,10 +188,10 @@ class NonlinearSolver:
     V is the volume that the body keeps: the polyhedron's, but of the printed form.
 
     The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
-    slope of the state itself, or once a step by it alone failed, Anderson acceleration mixes the corrections. A
-    last shift closes the volumes to rounding. A load step starts from the last converged one and is halved where it
-    fails; nothing of a failed step is kept. Where the held nodes are moved, the body starts carried along as they
-    are, best fit by a rigid motion.
+    slope of the state itself, near the balance, or once a step by it alone failed, Anderson acceleration mixes the
+    corrections, also by what the last loads told of the slope. A last shift closes the volumes to rounding. A load
+    step starts from the last converged one and is halved where it fails; nothing of a failed step is kept. Where
+    the held nodes are moved, the body starts carried along as they are, best fit by a rigid motion.
 
     Parameters
     ----------
@@ -241,7 +244,7 @@ class NonlinearSolver:
             found, used = self._solve(_between(last.load, load, target), x, pressure)
             iterations += used
             if found is None and not self._mixes:  # the slope misses what strains within: that is learnt
-                self._mixes = True
+                self._mixes, self._anderson = True, Anderson(HISTORY)
                 continue
             if found is None or used > HISTORY:  # on so bent a path the slopes of here mislead further on
                 self._anderson = Anderson(HISTORY)
@@ -373,17 +376,15 @@ class NonlinearSolver:
                 return self._close_volume(load, balance, turn), iteration
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
             x = x.copy()
-            if not self._mixes:
-                share = min(
-                    1.0, LONGEST * self.reach / max(float(np.abs(change).max()), np.finfo(float).tiny)
-                )
-                x[nodes] += share * change
-                pressure = pressure + share * pushed
+            if self._mixes or BY_SLOPE * balance.scale < residual < NEAR * balance.scale:
+                iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
+                mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
+                x[nodes] = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn)
+                pressure = mixed[-len(pressure) :] / unit
                 continue
-            iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
-            mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
-            x[nodes] = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn)
-            pressure = mixed[-len(pressure) :] / unit
+            share = min(1.0, LONGEST * self.reach / max(float(np.abs(change).max()), np.finfo(float).tiny))
+            x[nodes] += share * change
+            pressure = pressure + share * pushed
         return None, MAX_ITERATIONS
 
     def _close_volume(self, load: Load, balance: Balance, turn: Array) -> Balance | None:
