@@ -324,7 +324,7 @@ class Parts:
         return change
 
     def _slope_for(self, balance: Balance, lacking: Array, gap: Array) -> _Slope:
-        """The slope of a state, or the last one where parts have hardly turned and it still gains a digit.
+        """The slope of a state, or the last one where parts have hardly turned and `MOST_LEFT` holds.
 
         What another load lacked tells nothing of the slope, nor do volumes alone.
         """

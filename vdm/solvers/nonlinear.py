@@ -25,6 +25,7 @@ SMALLEST_SUBSTEP = 1.0 / 64.0
 AS_ONE = 0.3
 LEAST_TURN = 1e-9  # of the second moment of the held nodes: rotations about which they say less are not made
 FURTHEST_AHEAD = 8.0  # sum of the weights of converged states, without their signs, that a start is made of
+BENT = 0.1  # of the way along the line through the last two
 # sizes of the body; forces that move it less are measured by those that move it so far
 SMALLEST_MOTION = 1e-6
 # of the balance's residual over the larger of the internal and the applied forces, or over the force of a pressure
@@ -313,18 +314,23 @@ class NonlinearSolver:
         return float(np.abs(formulation.displacement(change)).max())
 
     def _ahead(self, load: Load) -> tuple[Array, Array]:
-        """Where converged steps point to under a load that goes on as they went: the polynomial through them.
+        """Where converged steps point to under a load that goes on as they went: the line through the last two.
 
-        Through the last three where their loads are in line too, or two, or the last one as it is.
+        Or the parabola through the last three, where it is `BENT` at most; the last one where none goes on.
         """
-        for path in (self._path[-3:], self._path[-2:]):
-            before, last = path[-2:] if len(path) > 1 else path * 2
+        last = self._path[-1]
+        found = last.x, last.pressure
+        for path in (self._path[-2:], self._path[-3:]):
+            before = path[-2] if len(path) > 1 else last
             places = [_share(before.load, last.load, state.load) for state in path]
             weights = _lagrange(np.array(places), _share(before.load, last.load, load))
-            if np.abs(weights).sum() <= FURTHEST_AHEAD:
-                x, pressure = ([getattr(state, name) for state in path] for name in ("x", "pressure"))
-                return np.tensordot(weights, x, 1), np.tensordot(weights, pressure, 1)
-        return last.x, last.pressure
+            if not np.abs(weights).sum() <= FURTHEST_AHEAD:
+                break
+            x = np.tensordot(weights, [state.x for state in path], 1)
+            if len(path) == 3 and np.linalg.norm(x - found[0]) > BENT * np.linalg.norm(found[0] - last.x):
+                break
+            found = x, np.tensordot(weights, [state.pressure for state in path], 1)
+        return found
 
     def _failed(self, reached: float, iterations: int) -> Step:
         surface, d = self.problem.formulation.surface, self.problem.formulation.components
