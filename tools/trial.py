@@ -12,7 +12,7 @@ import tomli_w
 
 from tools.documents import ROOT, RUNS, finished, show, table
 from tools.evidence import EVIDENCE, MEASURES, kept, slashed
-from vdmbench.measures.bars import reference_bar, where_reached
+from vdmbench.measures.bars import reference_bar, series
 from vdmbench.measures.case import CaseResult
 from vdmbench.store.cases import read_run
 
@@ -82,15 +82,15 @@ def _run(name: str, text: str) -> list[CaseResult]:
 
 
 def row(body: str, load: str, case: CaseResult, form: str = FORM) -> list[str]:
-    """A line of the table."""
-    result, at = case.models[form], case.reached
+    """A line of the table, at the largest load that elements and parts both reached."""
+    result = case.models[form]
+    at = max(step for step in range(case.reached + 1) if result.status[step].ok)
     moved = np.linalg.norm(case.models[str(case.reference)].displacement[at], axis=1).max()
     parts = result.scalars["parts"][at] if "parts" in result.scalars else 1.0
-    status = result.status[at]
+    status = result.status[case.reached]
     told = status.message if status.ok else f"{status.code}: {status.message}"
-    errors, own = (
-        [f(case, m) for m in MEASURES] for f in (lambda c, m: where_reached(c, form, m), reference_bar)
-    )
+    errors = [float(values[at]) for m in MEASURES if (values := series(case, form, m)) is not None]
+    own = [reference_bar(case, m) for m in MEASURES]
     return [
         body, load, str(len(case.points)), f"{1e3 * moved:.3g} mm", f"{parts:.0f}", slashed(errors), slashed(own),
         told or "nothing",
