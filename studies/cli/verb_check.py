@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
         return print_json(
             {"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected, "warnings": told}
         )
-    print(f"{study._source.path}: ok, {plural(len(plan.cases), 'case')}")
+    print(f"{study.path}: ok, {plural(len(plan.cases), 'case')}")
     for problem in doubts:
         print(f"warning: {problem}")
     for line in expected:

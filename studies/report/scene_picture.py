@@ -39,6 +39,7 @@ KINDS = {
     "elastic": ("springs", "#228833"),
     "indenter": ("indenter", "#ee7733"),
 }
+PART = "part"
 # of parts of a cut body, in turn: a black number is read on each (Paul Tol, Colour schemes, "light")
 PARTS = ("#77aadd", "#ee8866", "#eedd88", "#ffaabb", "#99ddff", "#44bb99", "#bbcc33", "#aaaa00")
 INSIDE = "#5b3a8c"  # what is drawn through the body
@@ -60,9 +61,9 @@ _CLEARLY = 1.03  # times as much
 class Part:
     """A region of N nodes with what acts on it.
 
-    `kind` is that of a constraint: "fixed", "contact" or "constrained"; or "part 3" of a body that a
-    model cuts, whose number stands on it. `vector` (3,) is the resultant force on the body [N] or the displacement
-    [m]; the arrow has its direction, not its size. `label` stands at the arrow.
+    `kind` is that of a constraint: "fixed", "contact" or "constrained"; or PART of a body that a model cuts, whose
+    `number` stands on it. `vector` (3,) is the resultant force on the body [N] or the displacement [m]; the arrow
+    has its direction, not its size. `label` stands at the arrow.
     """
 
     name: str
@@ -70,6 +71,17 @@ class Part:
     nodes: np.ndarray  # (N,) mask
     vector: np.ndarray | None = None
     label: str = ""
+    number: int = 0
+
+    @property
+    def called(self) -> str:
+        """What its kind is called."""
+        return f"{PART} {self.number}" if self.kind == PART else style_of(self.kind)[0]
+
+    @property
+    def colour(self) -> str:
+        """That of its kind, or of its number."""
+        return PARTS[(self.number - 1) % len(PARTS)] if self.kind == PART else style_of(self.kind)[1]
 
 
 @dataclass(frozen=True)
@@ -220,7 +232,7 @@ def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Fi
     _draw_scale(foot, metres)
     _draw_triad(foot, stage.axes)
     if stage.parts or stage.outlines:
-        handles = [Patch(color=style_of(part.kind)[1], label=_legend(part)) for part in stage.parts]
+        handles = [Patch(color=part.colour, label=_legend(part)) for part in stage.parts]
         handles += [
             Patch(color=INSIDE, label=f"inside: {_short(outline.name)}") for outline in stage.outlines
         ]
@@ -243,21 +255,12 @@ def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Fi
 
 def style_of(kind: str) -> tuple[str, str]:
     """What a kind of constraint is called, and its colour."""
-    if number := _number(kind):
-        return kind, PARTS[(number - 1) % len(PARTS)]
     return KINDS.get(kind, (kind, OTHER))
 
 
-def _number(kind: str) -> int:
-    """Of a part that a model cuts; else 0."""
-    word, _, number = kind.partition(" ")
-    return int(number) if word == "part" and number.isdecimal() else 0
-
-
 def _legend(part: Part) -> str:
-    called = style_of(part.kind)[0]
     name = _short(part.name)
-    return f"{called}: {name}" if name and name != called else called
+    return f"{part.called}: {name}" if name and name != part.called else part.called
 
 
 def _short(name: str) -> str:
@@ -270,25 +273,24 @@ def _draw_body(axes: Axes, stage: Stage) -> None:
     n_rows = max(1, round(_PIXELS * height / width))
     colours = np.tile(to_rgba(BODY), (len(stage.triangles), 3, 1))
     for part in stage.parts:
-        colours[stage.facets(part)] = to_rgba(style_of(part.kind)[1])
+        colours[stage.facets(part)] = to_rgba(part.colour)
     scale = raster.FINER * _PIXELS / width
     pixels = raster.drawn(
         stage.seen, stage.triangles, colours, scale, -scale * low, _PIXELS, n_rows, _AMBIENT
     )
     axes.imshow(pixels, extent=(low[0], high[0], low[1], high[1]), interpolation="nearest", aspect="equal")
     for part in stage.parts:
-        colour = style_of(part.kind)[1]
         edges, facing = stage.outline(part)
         axes.add_collection(
-            LineCollection(list(edges[~facing]), colors=colour, linewidths=1.0, linestyles=":")
+            LineCollection(list(edges[~facing]), colors=part.colour, linewidths=1.0, linestyles=":")
         )
-        axes.add_collection(LineCollection(list(edges[facing]), colors=colour, linewidths=1.2))
+        axes.add_collection(LineCollection(list(edges[facing]), colors=part.colour, linewidths=1.2))
         dots = stage.seen[stage.lone(part)]
-        axes.plot(dots[:, 0], dots[:, 1], "o", color=colour, markersize=3.0, markeredgewidth=0)
+        axes.plot(dots[:, 0], dots[:, 1], "o", color=part.colour, markersize=3.0, markeredgewidth=0)
         shown = stage.facets(part) & (stage.area_vectors @ stage.axes[2] > 0)
-        if (number := _number(part.kind)) and shown.any():
+        if part.kind == PART and shown.any():
             x, y, _ = stage.seen[stage.triangles[shown]].mean(axis=(0, 1))
-            axes.text(x, y, f"{number}", color="black", ha="center", va="center")
+            axes.text(x, y, f"{part.number}", color="black", ha="center", va="center")
     for outline in stage.outlines:
         seen = (outline.segments @ stage.axes.T)[:, :, :2]
         axes.add_collection(LineCollection(list(seen), colors=INSIDE, linewidths=1.2, linestyles="--"))

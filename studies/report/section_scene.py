@@ -20,7 +20,7 @@ from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, plural, scale_of, short_percent, span
 from ..verdict.loading import kind_of, name_of
 from .blocks import Scene
-from .scene_picture import Outline, Part, Stage, scene_svg, style_of
+from .scene_picture import PART, Outline, Part, Stage, scene_svg, style_of
 
 MOST_STRAIN = 0.1  # within a part, beyond which it is told
 _REPAIRED = {
@@ -63,7 +63,7 @@ def _cut_bodies(case: CaseResult) -> list[Markup]:
             nodes = np.isin(np.arange(len(of_node)), case.triangles[of_facet == k])
             turn, strain = (float(told[f"{what}_of_part_{k}"]) for what in ("rotation", "strain"))
             words = f"turned {np.degrees(turn):.0f}°, strain {short_percent(strain)}"
-            parts.append(Part(words, f"part {k}", nodes))
+            parts.append(Part(words, PART, nodes, number=k))
         stage = Stage(case.points + moved, case.triangles, parts)
         title, words = f"{name} at full load, in parts", _parts_words(case, name)
         drawn.append(scene_svg(stage, alt=words, salt=f"parts-{len(drawn)}", title=title))

@@ -113,9 +113,8 @@ def _vtk_entries(case: CaseResult) -> list[Entry]:
         "NumberOfParts": none + 1,
         **dict.fromkeys(("CellOffsets", "ConnectivityIdOffsets"), none[:, None]),
     }
-    fields: dict[
-        str, tuple[NDArray[Any], str, NDArray[np.int64]]
-    ] = {}  # values, unit, first row of each step
+    # values, unit, first row of each step
+    fields: dict[str, tuple[NDArray[Any], str, NDArray[np.int64]]] = {}
     for name, model in case.models.items():
         for key, unit in _FIELDS.items():
             flat = getattr(model, key).reshape(n_steps * n_points, 3)

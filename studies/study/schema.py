@@ -565,6 +565,11 @@ class Study(Table):
         """Of its file, with the changes made to it; "" of one that is from no file."""
         return self._source.text
 
+    @property
+    def path(self) -> str:
+        """Of its file, "study" of one that is from no file."""
+        return self._source.path
+
     def error(self, findings: Sequence[Finding]) -> StudyError:
         """The error for what is wrong with it, at the places in its file."""
         return self._source.error(findings, self.model_dump())
