@@ -25,6 +25,7 @@ from .repair import CleanSurface, CleanTetrahedra
 MEMORY, MEMORY_PER_BYTE = 1_000_000_000, 100
 SECONDS, SECONDS_PER_BYTE = 60.0, 3e-6
 
+_NO_MEMORY = 3  # exit code of a reader that says so
 _DAMAGED = "it is damaged or of another kind"
 
 
@@ -59,8 +60,11 @@ def _apart(what: str, path: Path) -> bytes:
         )
     except subprocess.TimeoutExpired:
         raise MeshError(f"takes more than {seconds:.0f} s to read; {_DAMAGED}") from None
-    if ended.returncode < 0:
-        raise MeshError(f"ends its reader with signal {-ended.returncode}; {_DAMAGED}")
+    too_large = f"takes more than {memory / 1e9:.1f} GB of memory to read; {_DAMAGED}"
+    if ended.returncode < 0:  # a library that is refused memory may crash as well as say so
+        raise MeshError(f"ends its reader with signal {-ended.returncode}, or {too_large}")
+    if ended.returncode == _NO_MEMORY:
+        raise MeshError(too_large)
     if ended.returncode > 0 or not ended.stdout:
         raise MeshError(f"cannot be read; {_DAMAGED}")
     return ended.stdout
@@ -134,9 +138,7 @@ def main(what: str, path: Path, memory: int) -> None:
     except MeshError as error:
         answer = _packed(error=np.array(str(error)))
     except MemoryError:
-        answer = _packed(
-            error=np.array(f"takes more than {memory / 1e9:.1f} GB of memory to read; {_DAMAGED}")
-        )
+        os._exit(_NO_MEMORY)  # at once: what is left to do would want memory too
     with os.fdopen(output, "wb") as file:
         file.write(answer)
 
