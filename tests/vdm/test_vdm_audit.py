@@ -76,12 +76,12 @@ def held_to_the_truth(model: Model, load: Load, tolerance: float) -> str:
     return status.code
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("formulation", MODULI)
+@pytest.mark.parametrize(
+    ("formulation", "solver"),
+    [("vector", solver) for solver in SOLVERS] + [(form, "linear") for form in ("paper", "consistent")],
+)
 @pytest.mark.filterwarnings("ignore:overflow|invalid value|divide by zero")
 def test_moduli_far_apart(formulation: str, solver: str) -> None:
-    if (formulation, solver) == ("paper", "minres"):
-        pytest.skip("the printed form is not symmetric")
     grounded, joined = MODULI[formulation]
     codes = []
     for exponent in (-16, -8, -4, 0, 4, 8, 12):
@@ -93,7 +93,7 @@ def test_moduli_far_apart(formulation: str, solver: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["penalty-added", "penalty-replaced"])
-@pytest.mark.parametrize("formulation", [*MODULI, "mass-spring"])
+@pytest.mark.parametrize("formulation", ["paper", "vector"])
 def test_penalties_of_eighteen_orders(formulation: str, method: str) -> None:
     rule = Parameters.from_tissue(5000.0, SurfaceMesh(POINTS, TRIANGLES), formulation)
     for exponent in (2, 4, 8, 12, 16, 20):
@@ -202,12 +202,6 @@ def test_an_answer_that_rounding_moves_is_called_ill_conditioned() -> None:
     assert found.status.remedy
 
 
-def test_an_unloaded_body_lacks_nothing() -> None:
-    found = linear("vector").solve([FINGER.scaled(0.0)])
-    assert found.status[0].ok
-    assert found.scalars["relative_residual"][0] == 0.0
-
-
 def bent_line(offset: float) -> tuple[Array, Array]:
     """Points, and a mask of three: one lies beside the line of the others by a share of their distance."""
     first, second, third = np.argsort(POINTS[:, 2])[:3]
@@ -241,12 +235,13 @@ def test_three_held_nodes_nearly_on_one_line(solver: str) -> None:
             held_to_the_truth(model, FINGER, 1e-3)
 
 
-@pytest.mark.parametrize("solver", ["linear", "single", "refined", "lu", "cg", "minres"])
-@pytest.mark.parametrize("formulation", ["vector", "mass-spring", "bem"])
+@pytest.mark.parametrize(
+    ("formulation", "solver"),
+    [("vector", solver) for solver in ("linear", "single", "refined", "lu", "cg", "minres")]
+    + [(form, "linear") for form in ("mass-spring", "bem")],
+)
 def test_a_body_that_its_support_carries_along_is_right(formulation: str, solver: str) -> None:
     """No force is left but rounding, of which nothing can be lacking."""
-    if formulation == "bem" and solver in ("single", "refined"):
-        return
     rule = Parameters.from_tissue(5000.0, BODY, formulation)
     model = Model(POINTS, TRIANGLES, rule, formulation=formulation, constrained=BASE, solver=solver)
     shift = np.array([1e-3, -2e-3, 5e-3])

@@ -29,11 +29,10 @@ def model(formulation: str, fixed, constrained=NOBODY, rule_of=BASE) -> Model:
     )
 
 
-@pytest.mark.parametrize("formulation", list(FORMULATIONS))
 @pytest.mark.parametrize(
-    ("fixed", "moved"),
-    [(BASE | SIDE, NOBODY), (FEWER, NOBODY), (FEWER, SIDE), (BASE, SIDE), (BASE, NOBODY)],
-    ids=["more", "fewer", "other and moved", "tool", "same"],
+    ("formulation", "fixed", "moved"),
+    [("vector", *held) for held in ((BASE | SIDE, NOBODY), (FEWER, NOBODY), (BASE, SIDE), (BASE, NOBODY))]
+    + [(name, FEWER, SIDE) for name in FORMULATIONS],
 )
 def test_a_changed_support_answers_as_the_long_way(formulation, fixed, moved):
     solver = model(formulation, BASE).solver

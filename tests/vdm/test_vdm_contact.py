@@ -85,14 +85,6 @@ def test_a_contact_is_shortened_from_where_it_reads_least(axis, least, monkeypat
     assert least < sizes[0] / contact.prepare(nodes).columns.nbytes < least + 0.4
 
 
-def test_a_contact_that_moves_within_its_own_array_is_seen(solver):
-    contact, nodes = ContactCompliance(solver.problem), PATCH.copy()
-    pressure = np.full(len(nodes), 50.0)
-    contact.frame(nodes, pressure)
-    nodes[:] = np.argsort(-POINTS[:, 0])[:50]
-    assert error_of_a_frame(contact, solver, nodes, pressure) < 1e-6
-
-
 def test_the_printed_sign_holds_for_columns_too():
     material = Parameters.from_tissue(5000.0, BODY, "consistent")
     body = Model(POINTS, TRIANGLES, material, formulation="consistent", fixed=BASE, contact_sign="printed")

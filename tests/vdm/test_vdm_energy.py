@@ -141,10 +141,10 @@ def test_the_energy_is_the_work_of_the_load_and_goes_back_with_it(formulation):
     assert abs(energy[-1]) < 1e-12 * energy[0]
 
 
-@pytest.mark.parametrize("angle", [0.3, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("angle", [1.0, 3.0])
 @pytest.mark.parametrize("formulation", ["vector", "bem", "mass-spring"])
 def test_a_support_that_turns_turns_the_answer(formulation, angle):
-    """Held nodes turned by 17 to 172 degrees under facet pressures that follow the surface: the answer, turned."""
+    """Held nodes turned by 57 and 172 degrees under facet pressures that follow the surface: the answer, turned."""
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     body = model(formulation, fixed=None, constrained=BASE)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 from scipy import sparse
 
 from tests.vdm.vdm_shapes import box, icosphere
@@ -16,7 +15,6 @@ from vdm.peers.bem_sparse import HalvedFormulation
 from vdm.reservations import LIMIT, reserved
 from vdm.solution import CONVERGED
 
-Array = NDArray[np.float64]
 SIDES = (0.04, 0.04, 0.04)
 
 
@@ -29,8 +27,6 @@ def standing(n: int, load: str, **options: Any) -> tuple[Model, Load]:
     if load == "moved":
         options["constrained"] = top
         prescribed = np.where(top[:, None], [0.001, 0.0, 0.0], 0.0)
-    if load == "weight":
-        options |= {"density": 1000.0, "gravity": np.array([5.0, 0.0, 0.0])}
     given = {"formulation": "bem"} | options
     material = given.pop("parameters", Parameters(shear_modulus=1667.0))
     model = Model(points, triangles, material, fixed=fixed, **given)
@@ -42,7 +38,7 @@ def standing(n: int, load: str, **options: Any) -> tuple[Model, Load]:
     return model, Load.from_facet_pressure(model.surface, np.where(on_half, 10.0, 0.0))
 
 
-@pytest.mark.parametrize(("load", "most"), [("pressed", 1.2), ("moved", 2.7), ("weight", 1.4)])
+@pytest.mark.parametrize(("load", "most"), [("pressed", 1.2), ("moved", 2.7)])
 def test_it_is_as_large_as_the_distance_to_a_finer_mesh(load: str, most: float) -> None:
     """Half of it and more; nested cubes, so that the nodes of one are those of the other.
 
@@ -103,7 +99,7 @@ def test_no_other_form_has_one_nor_a_body_on_springs_nor_a_load_of_nothing() -> 
 
 
 @pytest.mark.parametrize("which", ["bending", "mesh"])
-@pytest.mark.parametrize(("error", "is_told"), [(0.09, False), (LIMIT, False), (0.11, True), (np.nan, False)])
+@pytest.mark.parametrize(("error", "is_told"), [(LIMIT, False), (0.11, True), (np.nan, False)])
 def test_a_reservation_begins_beyond_a_tenth(which: str, error: float, is_told: bool) -> None:
     form = standing(2, "pressed")[0].formulation
     errors = {"bending": 0.0, "mesh": 0.0} | {which: error}

@@ -172,15 +172,6 @@ def test_penalty_error_falls_as_one_over_alpha():
         assert errors[0] < 1e-2 * np.abs(exact).max()
 
 
-def test_exact_pressure_per_facet_gives_its_resultant():
-    pressure = np.random.default_rng(5).uniform(0.0, 100.0, len(TRIANGLES))
-    load = Load.from_facet_pressure(BODY, pressure)
-    assert_allclose(load.contact_force.sum(axis=0), -(pressure @ BODY.facet_vectors), rtol=1e-12, atol=1e-15)
-    assert_allclose(
-        BODY.nodal_areas @ load.contact_pressure, pressure @ BODY.facet_areas, rtol=1e-12, atol=0.0
-    )
-
-
 def test_rule_from_tissue_matches_the_ball():
     ball = SurfaceMesh(*icosphere(4, (0.05, 0.05, 0.05)))
     mu, radius = 5000.0 / 3.0, ball.equivalent_radius
@@ -333,8 +324,9 @@ def test_just_enough_held(formulation, parameters):
     assert 1e-6 < np.abs(moved).max() < 10.0
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize("formulation", ["paper", "consistent"])
+@pytest.mark.parametrize(
+    ("formulation", "solver"), [*(("consistent", solver) for solver in SOLVERS), ("paper", "minres")]
+)
 def test_a_foundation_needs_nothing_held(formulation, solver):
     if (formulation, solver) == ("paper", "minres"):
         with pytest.raises(SolverError, match="MINRES needs a symmetric state matrix"):

@@ -18,7 +18,6 @@ Array = np.ndarray
 E, LENGTH, SIDE = 3e4, 0.1, 0.01
 BAR = box(counts=(24, 3, 3), size=(LENGTH, SIDE, SIDE))
 ROD = icosphere(2, (0.06, 0.02, 0.02))
-CUP = icosphere(2)
 
 
 def clamped(
@@ -150,7 +149,7 @@ def test_frames_on_a_kept_slope_are_those_of_one_made_for_each(monkeypatch: pyte
     made: list[None] = []
     make = Parts._slope_at
     monkeypatch.setattr(Parts, "_slope_at", lambda *given: (made.append(None), make(*given))[1])
-    loads = [at_tip(BAR[0], np.array([0.0, 0.0, -1e-3 - 2e-5 * k])) for k in range(6)]
+    loads = [at_tip(BAR[0], np.array([0.0, 0.0, -1e-3 - 2e-5 * k])) for k in range(3)]
     model = clamped(BAR, parts=4)
     warm = model.solve(loads)
     assert isinstance(model.solver, PartsSolver)
@@ -159,25 +158,6 @@ def test_frames_on_a_kept_slope_are_those_of_one_made_for_each(monkeypatch: pyte
     size = np.abs(cold.displacement[0]).max()
     assert size > 0.01 * LENGTH
     assert_allclose(warm.displacement[-1], cold.displacement[0], rtol=0.0, atol=1e-6 * size)
-
-
-def test_parts_at_once_are_as_parts_one_by_one() -> None:
-    body, x = bent(clamped(BAR), 4)
-    pressure = 400.0 + np.arange(4)
-    balance = body.balance(Load(np.zeros(len(BAR[0]))), x, pressure)
-    force, energy = np.zeros_like(x), 0.0
-    for number, part in enumerate(body.parts):
-        moved = x[part.nodes]
-        state = part.body.at(moved)
-        own = part.form.deformed_internal_force(moved, state)
-        force[part.nodes] += own - pressure[number] * state.area_vectors
-        energy += part.form.deformed_energy(moved, state)
-        assert_allclose(
-            balance.gap[number], state.volume / part.form.surface.volume - 1.0, rtol=0.0, atol=1e-14
-        )
-        assert_allclose(balance.parts.turns[number], state.rotation, rtol=0.0, atol=1e-13)
-    assert_allclose(balance.lacking, force, rtol=0.0, atol=1e-12 * np.abs(force).max())
-    assert body.energy(balance) == pytest.approx(energy, rel=1e-12)
 
 
 def test_a_slope_that_is_kept_closes_the_volumes_of_the_state() -> None:
@@ -196,12 +176,11 @@ def test_a_slope_that_is_kept_closes_the_volumes_of_the_state() -> None:
 
 
 def test_parts_cost_a_small_motion_no_accuracy() -> None:
-    """Of 1, 4 and 8 parts under a force that bends by a thousandth: 0.5 % apart."""
+    """Of 1 and 4 parts under a force that bends by a thousandth: 0.5 % apart."""
     points = BAR[0]
     load = at_tip(points, np.array([0.0, 0.0, 1e-6]))
-    one, *more = (clamped(BAR, parts=parts).solve([load]).displacement[0] for parts in (1, 4, 8))
-    for u in more:
-        assert np.linalg.norm(u - one) < 0.005 * np.linalg.norm(one)
+    one, four = (clamped(BAR, parts=parts).solve([load]).displacement[0] for parts in (1, 4))
+    assert np.linalg.norm(four - one) < 0.005 * np.linalg.norm(one)
 
 
 def test_a_beam_bends_as_the_elastica() -> None:

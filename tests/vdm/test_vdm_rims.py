@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 
 from solver_common.arrays import Mask
 from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.boundary import operators
-from vdm.boundary.coarsening import coarsened
 from vdm.boundary.rims import Rims
 from vdm.constraints import Support
 from vdm.formulations.base import rigid_motions
@@ -19,7 +17,6 @@ from vdm.peers.bem import BoundaryFormulation
 from vdm.problem import Problem
 from vdm.solvers.linear import LinearSolver
 
-Array = NDArray[np.float64]
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
 BODY = SurfaceMesh(POINTS, TRIANGLES)
 BASE = POINTS[:, 2] < -0.02
@@ -127,38 +124,6 @@ def test_the_answer_is_nearer_to_that_of_a_finer_mesh() -> None:
         errors.append(np.linalg.norm(found - expected[nearest]) / np.linalg.norm(expected[nearest]))
     assert errors[0] > 0.15
     assert errors[1] < 0.2 * errors[0]
-
-
-def test_coarse_bodies_are_finer_at_the_rim() -> None:
-    points, triangles = icosphere(4, (0.05, 0.05, 0.05))
-    surface, held = SurfaceMesh(points, triangles), points[:, 2] < -0.02
-    even, graded = coarsened(surface, 300), coarsened(surface, 300, held)
-    near = [np.abs(coarse.surface.points[:, 2] + 0.02) < 0.004 for coarse in (even, graded)]
-    assert near[1].sum() > 2 * near[0].sum() > 20
-    sizes = graded.surface.nodal_areas
-    assert np.median(sizes[near[1]]) < 0.5 * np.median(sizes[~near[1]])
-    free = coarsened(surface, 300, np.zeros_like(held))
-    assert_allclose(free.surface.points, even.surface.points, rtol=0.0, atol=0.0)
-
-
-@pytest.mark.parametrize("formulation", ["bem", "bem-sparse"])
-def test_cuts_do_not_change_the_precision_that_was_compiled(
-    formulation: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A body below the limit is in double precision, also where the cut surface has more nodes."""
-    body = SurfaceMesh(*icosphere(2, (0.05, 0.05, 0.05)))
-    assemble, used = operators.assembled, []
-
-    def spied(facets: operators.Facets, nu: float, dtype: type) -> operators.Operators:
-        used.append((len(facets.points), dtype))
-        return assemble(facets, nu, dtype)
-
-    monkeypatch.setattr(operators, "assembled", spied)
-    monkeypatch.setattr(operators, "DOUBLE_NODES", body.n_nodes + 5)
-    Model(body.points, body.triangles, soft(0.5), formulation=formulation, fixed=body.points[:, 2] < 0.0)
-    (_, compiled), (inside, dtype) = used
-    assert inside > operators.DOUBLE_NODES > body.n_nodes
-    assert dtype is compiled is np.float64
 
 
 @pytest.mark.parametrize("formulation", ["bem", "bem-sparse"])

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import gc
-import weakref
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from tests.vdm.vdm_shapes import POINTS, icosphere, model
 from vdm import FORMULATIONS, Load, Model, Parameters
-from vdm.solvers.linear import LinearSolver
 
 TOP = POINTS[:, 2] > 0.04
 RANDOM = np.random.default_rng(5)
@@ -109,23 +105,3 @@ def test_the_arrays_of_a_step_cannot_be_written_to_but_a_solution_can(form, solv
     solution = body.solve([Load(20.0 * TOP)])
     solution.displacement[...] = 0.0
     assert not solution.displacement.any()
-
-
-def test_a_history_keeps_no_step_but_the_last(monkeypatch):
-    body = model("vector")
-    made: list[weakref.ref] = []
-    alive: list[int] = []
-    original = LinearSolver.step
-
-    def watched(self, load, previous=None):
-        gc.collect()
-        alive.append(sum(step() is not None for step in made))
-        step = original(self, load, previous)
-        made.append(weakref.ref(step))
-        return step
-
-    monkeypatch.setattr(LinearSolver, "step", watched)
-    body.solve([Load(20.0 * TOP).scaled(k) for k in range(1, 6)])
-    # the last one, and while the next is made the local name of the one that was solved; of the first, which is
-    # spent unmeasured, nothing
-    assert alive == [0, 0, 1, 1, 1, 1]

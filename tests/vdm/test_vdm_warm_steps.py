@@ -7,10 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, model
-from vdm import FORMULATIONS, Load, Model, Parameters
+from vdm import Load, Model, Parameters
 from vdm.deformed import DeformableSurface
-from vdm.solvers.anderson import Anderson
-from vdm.solvers.nonlinear import _lagrange, _share
 
 TOP = (POINTS[TRIANGLES][:, :, 2] > 0.03).all(axis=1)
 SIDE = (POINTS[TRIANGLES][:, :, 0] > 0.03).all(axis=1)
@@ -18,7 +16,7 @@ PUSH = Load.from_facet_pressure(BODY, np.where(TOP, 400.0, 0.0))
 NUDGE = Load.from_facet_pressure(BODY, np.where(SIDE, 400.0, 0.0))
 
 
-@pytest.mark.parametrize("formulation", list(FORMULATIONS))
+@pytest.mark.parametrize("formulation", ["vector", "bem", "mass-spring"])
 def test_warm_steps_equal_each_load_from_rest_in_fewer_iterations(formulation):
     # on, a turn back, the same again, another finger, and nothing
     loads = [PUSH.scaled(s) for s in (1.0, 1.1, 1.2, 1.3, 1.15, 1.15, 1.16)] + [NUDGE, PUSH.scaled(0.0)]
@@ -65,46 +63,3 @@ def test_a_tiny_load_is_solved_as_well_as_a_large_one(formulation):
     assert 0.0 < size < 1e-10 * np.ptp(POINTS)
     # positions of 1e-16 of the body leave displacements of 1e-10 of it six digits
     assert_allclose(found.displacement, linear.displacement, rtol=0.0, atol=1e-4 * size)
-
-
-def test_share_of_a_load_that_goes_on():
-    def between(a, b, c):
-        return _share(PUSH.scaled(a), PUSH.scaled(b), PUSH.scaled(c))
-
-    assert_allclose(between(1.0, 1.5, 1.75), 0.5, rtol=1e-12, atol=0.0)
-    assert_allclose(between(1.0, 1.5, 1.0), -1.0, rtol=1e-12, atol=0.0)
-    assert between(1.0, 1.5, 1.5) == 0.0
-    assert np.isnan(between(1.0, 1.0, 1.5)), "nothing to go on from"
-    assert np.isnan(_share(PUSH, PUSH.scaled(1.5), NUDGE)), "another direction"
-    moved = np.ones((len(POINTS), 3))
-    grown = [
-        Load(s * PUSH.contact_pressure, None, r * moved) for s, r in ((1.0, 1.0), (2.0, 2.0), (3.0, 2.2))
-    ]
-    assert np.isnan(_share(*grown)), "pressure and displacement part ways"
-
-
-def test_what_lies_ahead_on_a_polynomial_is_found():
-    places = np.array([-1.7, -1.0, 0.0])
-    assert_allclose(_lagrange(places, 1.2) @ (3.0 - 2.0 * places + places**2), 3.0 - 2.4 + 1.44, rtol=1e-12)
-    assert_allclose(_lagrange(places[1:], 1.2) @ (3.0 - 2.0 * places[1:]), 3.0 - 2.4, rtol=1e-12)
-    assert not np.isfinite(_lagrange(np.zeros(2), 1.0)).any()
-
-
-def test_mixing_that_goes_on_to_a_neighbouring_map_reaches_its_own_fixed_point_sooner():
-    rng = np.random.default_rng(4)
-    matrix = 0.9 * np.linalg.qr(rng.standard_normal((8, 8)))[0]
-
-    def iterations(mixing, right):
-        solution, x = np.linalg.solve(np.eye(8) - matrix, right), np.zeros(8)
-        mixing.begin()
-        for count in range(60):
-            if np.abs(x - solution).max() < 1e-9 * np.abs(solution).max():
-                return count
-            x = mixing.next(x, matrix @ x + right - x)
-        return 60
-
-    first, second = rng.standard_normal((2, 8))
-    mixing = Anderson(10)
-    assert 8 <= iterations(mixing, first) <= 11
-    assert iterations(mixing, second) <= 3
-    assert iterations(Anderson(10), second) >= 8
