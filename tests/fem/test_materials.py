@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from fractions import Fraction
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fem_reference.kinematics import less_exponential, less_logarithm
 from fem_reference.materials import Kinematics, Law, Tangent, make_law
 from fem_reference.solution import SolverError
 from tests.verification.records import Verified
@@ -144,34 +141,6 @@ def test_small_strains_keep_their_digits(law: Law, size: float) -> None:
     assert_allclose(law.energy(k), energy, rtol=0, atol=slack * energy.max())
 
 
-@pytest.mark.parametrize("size", [1e-10, 1e-4, 0.9e-3, 1.1e-3, 0.2])
-def test_dilation_and_logarithm_in_exact_arithmetic(size: float) -> None:
-    """J - 1 of a rational H, and the energy of a pure dilation against its Taylor series in fractions."""
-    h = np.round(np.random.default_rng(5).uniform(-1.0, 1.0, (3, 3)) * 64.0) / 64.0 * size
-    f = [[Fraction(float(h[i, j])) + (i == j) for j in range(3)] for i in range(3)]
-    determinant = sum(
-        f[0][i] * (f[1][(i + 1) % 3] * f[2][(i + 2) % 3] - f[1][(i + 2) % 3] * f[2][(i + 1) % 3])
-        for i in range(3)
-    )
-    assert_allclose(Kinematics(h).dilation, float(determinant - 1), rtol=1e-13, atol=0)
-
-    # F = (1 + s) I: W / G = 3/2 ((1 + s)^2 - 1) - 3 log(1 + s)
-    s = Fraction(float(size))
-    logarithm = sum(-((-s) ** n) / n for n in range(1, 60))
-    exact = float(Fraction(3, 2) * (2 * s + s * s) - 3 * logarithm)
-    energy = LAWS["neo-hookean"].energy(Kinematics(np.eye(3) * size))
-    assert_allclose(energy, 2.0 * exact, rtol=1e-11, atol=0)
-
-
-def test_a_rigid_rotation_has_no_energy_and_no_stress() -> None:
-    angle = 1.3
-    c, s = np.cos(angle), np.sin(angle)
-    k = Kinematics(np.array([[c - 1.0, -s, 0.0], [s, c - 1.0, 0.0], [0.0, 0.0, 0.0]]))
-    for law in LAWS.values():
-        assert_allclose(law.energy(k), 0.0, rtol=0, atol=1e-15)
-        assert_allclose(law.stress(k, np.array(0.0)), 0.0, rtol=0, atol=1e-14)
-
-
 def _curves(name: str, stretch: Array) -> tuple[Array, Array]:
     """Nominal stress of incompressible bodies in uniaxial and equibiaxial tension, as in textbooks; G = 2."""
     if name == "ogden":
@@ -275,13 +244,3 @@ def test_materials_that_make_no_sense_are_refused() -> None:
     ):
         with pytest.raises(SolverError, match=words):
             make_law(*arguments)
-
-
-@pytest.mark.parametrize("x", [-9e-4, -1e-7, 3e-6, 9e-4, 0.02])
-def test_what_is_left_of_logarithm_and_exponential_is_their_power_series(x: float) -> None:
-    """Beside exact sums of fractions; the differences themselves lose all digits of a small x."""
-    powers = [Fraction(x) ** n for n in range(2, 12)]
-    logarithm = sum((p if n % 2 == 0 else -p) / n for n, p in enumerate(powers, start=2))
-    exponential = sum(p / math.factorial(n) for n, p in enumerate(powers, start=2))
-    assert_allclose(less_logarithm(np.array(x)), float(logarithm), rtol=1e-12, atol=0)
-    assert_allclose(less_exponential(np.array(x)), float(exponential), rtol=1e-12, atol=0)
