@@ -144,7 +144,6 @@ def test_a_shape() -> None:
         volume = 2.0 * np.pi**2 * 0.05 * float(case.swept["geometry.tube"]) ** 2
         assert case.mesh_quality["volume"] == pytest.approx(volume, rel=0.1)
     assert "ring" in page
-    assert error_in_benchmark(ring.replace("vdm-paper", "fem-linear")) < 0.5
     assert_told(
         {
             ring.replace(

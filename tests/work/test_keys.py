@@ -65,11 +65,6 @@ DECIDES: dict[str, tuple[tuple[str | int, ...], Any, set[str]]] = {
     "parameter of one model": (("models", "vdm-paper", "bulk_modulus"), 800.0, {"vdm-paper"}),
     "figures of the condition": (("study", "condition"), True, ALL),
 }
-NAMES_ONLY: dict[str, tuple[tuple[str | int, ...], Any]] = {
-    "study": (("study", "name"), "another"),
-    "title": (("study", "title"), "Another"),
-    "constraint": (("constraints", 1, "name"), "thumb"),
-}
 
 
 def study(*change: Any) -> Study:
@@ -100,11 +95,6 @@ def test_each_level_of_the_reference_is_a_set_up_of_its_own() -> None:
     found = answers(study())
     assert set(found) == {(name, 0) for name in ALL} | {("fem-linear", 1)}
     assert found["fem-linear", 0].body != found["fem-linear", 1].body
-
-
-@pytest.mark.parametrize("what", NAMES_ONLY)
-def test_a_name_decides_nothing(what: str) -> None:
-    assert answers(study()) == answers(study(*NAMES_ONLY[what]))
 
 
 def test_loads_of_one_body_share_its_set_up() -> None:
