@@ -16,13 +16,10 @@ def shaped(shape: str, mesh_size: float, keys: Mapping[str, Any]) -> Geometry:
 
 
 def telling_names() -> list[str]:
-    """Every model by its first solver, and by one of each kind that comes to its load on a way of its own.
+    """Every model by its first solver, and one model by each solver that comes to its load on a way of its own.
 
     Others have operator and load from these; `tests/vdm/test_vdm_solvers.py` holds them together.
     """
-    kinds = ("plain", "quasi-linear", "nonlinear", "incremental", "figure-8", "bicg")
-    return [
-        name
-        for model in all_models().values()
-        for name in (model.name, *(f"{model.name}:{solver}" for solver in model.solvers if solver in kinds))
-    ]
+    of_vector = [f"vdm-vector:{solver}" for solver in ("quasi-linear", "nonlinear", "bicg")]
+    others = ["fem-linear:plain", "fem:plain", "vdm-paper:incremental", "vdm-paper:figure-8", "bem:nonlinear"]
+    return [*all_models(), *of_vector, *others]

@@ -143,23 +143,6 @@ def test_every_model_takes_it_or_refuses_it_by_name(box: Mesh, name: str) -> Non
     assert result.displacement[0, :, 2].min() == pytest.approx(-0.002, rel=0.2)
 
 
-def test_shapes_differ_as_they_should(box: Mesh) -> None:
-    """A punch of the same radius needs more force than a ball, a capsule lies between the ball and a longer one."""
-    force = {
-        shape: float(answer(box, "fem-linear", TOUCH | given).scalars["indenter_force"][0])
-        for shape, given in (
-            ("ball", {}),
-            ("capsule", {"shape": "capsule", "length": 0.01, "along": [1, 0, 0]}),
-            ("longer", {"shape": "capsule", "length": 0.02, "along": [1, 0, 0]}),
-            ("punch", {"shape": "flat-punch"}),
-        )
-    }
-    assert force["ball"] < force["capsule"] < force["longer"] < force["punch"]
-    refused = answer(box, "fem", TOUCH | {"shape": "flat-punch"})
-    assert refused.status[0].code == models.REFUSED
-    assert "use a sphere or a capsule" in refused.status[0].remedy
-
-
 def test_it_touches_first_at_depth_zero(box: Mesh) -> None:
     scene = build_scene(study(TOUCH | {"push": [0.0, 0.0, -2.0]}), box)
     assert scene.indenter is not None

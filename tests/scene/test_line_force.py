@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,14 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.bodies import telling_names
-from vdm.constraints import ConstraintError, Load
-from vdm.model import Model
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
 from vdmbench.measures.reference import level_scene
-from vdmbench.scene.export import SCENES, Handout, write_scene
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.study.loads import KINDS
@@ -158,31 +154,6 @@ def test_a_kind_that_acts_by_a_dead_force_declares_it(box: Mesh, monkeypatch: py
     monkeypatch.setattr(KINDS["line"], "extra", "")
     with pytest.raises(SceneError, match="'line' has to declare as `extra`"):
         build_scene(study(), box)
-
-
-def test_exports_write_it_as_forces(box: Mesh, tmp_path: Path) -> None:
-    scene = build_scene(study(**TRACTION), box)
-    body = Handout(scene, scene.load(1.0))
-    names, refused = write_scene(body, tmp_path)
-    assert set(SCENES) <= set(names)
-    assert not refused
-    assert_allclose(body.force.sum(axis=0), PULL, rtol=1e-12)
-
-
-def test_a_form_along_normals_refuses_a_dead_force(box: Mesh) -> None:
-    from vdm.material import Parameters
-
-    n = len(box.surface_points)
-    held = box.surface_points[:, 0] < -0.0299
-    model = Model(
-        box.surface_points,
-        box.triangles,
-        lambda surface: Parameters.from_tissue(5e3, surface, "consistent", "global", held, 0.5),
-        formulation="consistent",
-        fixed=held,
-    )
-    with pytest.raises(ConstraintError, match="moves along normals only"):
-        model.solve([Load(np.zeros(n), dead_force=np.ones((n, 3)))])
 
 
 def test_answers_are_keyed_by_the_line_and_scaled() -> None:

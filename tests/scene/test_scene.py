@@ -13,7 +13,7 @@ from solver_common.quadrature import facet_quadrature
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
-from vdmbench.body.refine import inherit, refine
+from vdmbench.body.refine import refine
 from vdmbench.body.surface_measures import Surface, facet_area_vectors, nodal_sum
 from vdmbench.scene.regions import select
 from vdmbench.scene.scene import Scene, SceneError, build_scene
@@ -211,28 +211,6 @@ def test_a_profile_has_one_resultant_on_every_mesh_level(sphere: Mesh, profile: 
         size = np.linalg.norm(found[-1])
         assert_allclose(found[0], found[-1], rtol=0.0, atol=1e-6 * size)
         assert_allclose(found[1], found[-1], rtol=0.0, atol=1e-6 * size)
-
-
-def test_contacts_add_up(sphere: Mesh) -> None:
-    one = build_scene(study(), sphere)
-    two = build_scene(
-        study(constraints=[*BASE["constraints"], {**BASE["constraints"][1], "name": "again"}]), sphere
-    )
-    assert_allclose(two.facet_pressure, 2 * one.facet_pressure, rtol=0, atol=0)
-
-
-def test_a_refined_scene_carries_the_same_load_and_support(sphere: Mesh) -> None:
-    scene = build_scene(study(), sphere)
-    fine_mesh, parents = refine(sphere)
-    masks = {name: inherit(mask, sphere, parents) for name, mask in scene.regions.items()}
-    fine = build_scene(study(), fine_mesh, masks)
-    assert_allclose(fine.contact_force.sum(axis=0), scene.contact_force.sum(axis=0), rtol=1e-12, atol=1e-15)
-
-    def held_area(s: Scene) -> float:
-        areas = np.linalg.norm(facet_area_vectors(s.mesh.surface_points, s.mesh.triangles), axis=1)
-        return float(areas[s.held[s.mesh.triangles].all(axis=1)].sum())
-
-    assert_allclose(held_area(fine), held_area(scene), rtol=1e-12, atol=0)
 
 
 # --- constraints ---
