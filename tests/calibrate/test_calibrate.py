@@ -101,11 +101,8 @@ def answered(samples: list[Sample], model: str, multiples: list[float], asked: l
 @pytest.mark.parametrize(
     ("model", "asked", "multiples"),
     [
-        ("vdm-vector", ["surface_tension"], [1.7]),
         ("bem", ["shear_modulus"], [0.4]),
         ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5]),
-        ("vdm-consistent", ["foundation", "surface_tension"], [3.0, 0.6]),
-        ("vdm-vector", ["surface_tension", "stretch_stiffness"], [0.8, 0.5]),
         ("vdm-vector", ["foundation", "surface_tension", "stretch_stiffness"], [0.5, 1.2, 0.3]),
         ("vdm-vector:nonlinear", ["surface_tension"], [1.7]),
     ],
@@ -193,18 +190,6 @@ def finished(text: str, directory: Path) -> tuple[Run, Plan]:
     do_cases(plan)
     cases = [read_case(plan.case_file(case)) for case in plan.cases]
     return Run(study, "", cases, [], [], {}), plan
-
-
-def test_each_model_fits_what_it_reads_of_what_is_asked(samples: list[Sample]) -> None:
-    asked = ["stretch_stiffness", "connectivity_modulus", "surface_tension"]
-    names = {
-        name: Trial(name, samples, asked).names for name in ("vdm-paper", "vdm-consistent", "vdm-vector")
-    }
-    assert names == {
-        "vdm-paper": ("connectivity_modulus",),
-        "vdm-consistent": ("surface_tension",),
-        "vdm-vector": ("stretch_stiffness", "surface_tension"),
-    }
 
 
 def test_the_command_writes_a_table_to_paste(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from vdm import Load, Model, Parameters, SurfaceMesh
 POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
 SURFACE = SurfaceMesh(POINTS, TRIANGLES)
 BASE, TOP = POINTS[:, 2] < -0.03, POINTS[:, 2] > 0.035
-NONLINEAR = ("paper", "consistent", "vector", "bem", "mass-spring")
+NONLINEAR = ("paper", "vector", "mass-spring")
 
 BODY = ball(1)
 HELD = BODY.surface[:, 2] < -0.6
@@ -63,21 +63,6 @@ def test_a_load_that_is_taken_off_is_not_too_small() -> None:
     assert np.abs(found.displacement[2:]).max() < 1e-6 * largest
     # but the first of a history is: rounding is all that it would be measured by
     assert nonlinear.solve([Load(np.where(TOP, 1e-15, 0.0))]).status[0].code == "too-small"
-
-
-@pytest.mark.parametrize("formulation", ["vector", "mass-spring", "bem"])
-def test_held_nodes_that_move_by_less_than_rounding(formulation: str) -> None:
-    rule = Parameters.from_tissue(5000.0, SURFACE, formulation, held=BASE)
-    model = Model(POINTS, TRIANGLES, rule, formulation=formulation, solver="nonlinear", constrained=BASE)
-    nothing = np.zeros(len(POINTS))
-    for size in (1e-300, 1e-18, 1e-15):
-        moved = Load(nothing, prescribed=np.where(BASE[:, None], [0.0, 0.0, size], 0.0))
-        assert model.solve([moved]).status[0].code == "too-small"
-    # as a whole, by a turn of a tenth about the middle: which leaves no force at all
-    turn = np.array([[np.cos(0.1), -np.sin(0.1), 0.0], [np.sin(0.1), np.cos(0.1), 0.0], [0.0, 0.0, 1.0]])
-    turned = model.solve([Load(nothing, prescribed=np.where(BASE[:, None], POINTS @ turn.T - POINTS, 0.0))])
-    assert turned.status[0].ok
-    assert_allclose(turned.displacement[0], POINTS @ turn.T - POINTS, rtol=0, atol=1e-8)
 
 
 def test_linear_elements_follow_a_load_of_any_size() -> None:
@@ -129,7 +114,7 @@ def test_elements_at_finite_strain_refuse_what_rounding_hides() -> None:
     assert np.abs(history.displacement[2:]).max() < 1e-6 * np.abs(history.displacement[1]).max()
 
 
-@pytest.mark.parametrize("scale", [1e-90, 1e-12, 1.0, 1e12, 1e90])
+@pytest.mark.parametrize("scale", [1e-90, 1e90])
 @pytest.mark.parametrize("solver", ["single", "refined"])
 def test_single_precision_does_not_care_for_the_unit_of_the_moduli(solver: str, scale: float) -> None:
     load = Load(np.where(TOP, 100.0 * scale, 0.0))
@@ -138,30 +123,3 @@ def test_single_precision_does_not_care_for_the_unit_of_the_moduli(solver: str, 
     assert found.status[0].ok
     tolerance = 1e-5 if solver == "single" else 1e-10
     assert_allclose(found.displacement, expected.displacement, rtol=0, atol=tolerance * whole_size(expected))
-
-
-@pytest.mark.parametrize("height", [1e-3, 1e-5])
-def test_supports_nearly_on_a_line_do_not_hide_what_rounding_does(height: float) -> None:
-    """Three held nodes, the third nearly on the line of the others: rounding rocks the body about it."""
-    held_facet = TRIANGLES[POINTS[TRIANGLES].mean(axis=1)[:, 2].argmin()]
-    points = POINTS.copy()
-    a, b, c = points[held_facet]
-    foot = a + (b - a) * ((c - a) @ (b - a)) / ((b - a) @ (b - a))
-    points[held_facet[2]] = foot + height * (c - foot)
-    held = np.zeros(len(points), dtype=bool)
-    held[held_facet] = True
-    rule = Parameters.from_tissue(5000.0, SurfaceMesh(points, TRIANGLES), "vector", held=held)
-    linear, nonlinear = (
-        Model(points, TRIANGLES, rule, formulation="vector", fixed=held, solver=solver)
-        for solver in ("linear", "nonlinear")
-    )
-    codes = []
-    for pressure in (0.1, 1e-2, 1e-3, 1e-5):
-        load = Load(np.where(TOP, pressure, 0.0))
-        found, expected = nonlinear.solve([load]), linear.solve([load])
-        codes.append(found.status[0].code)
-        if found.status[0].ok:  # what is left is that of large displacements, of second order in the load
-            error = np.abs(found.displacement - expected.displacement).max() / whole_size(expected)
-            assert error < 0.1 * pressure + 1e-3
-    assert codes[-1] == "too-small"
-    assert (codes[0] == "converged") == (height == 1e-3)
