@@ -21,7 +21,6 @@ from vdmbench.body.surface_measures import Surface, weighted_norm
 from vdmbench.measures.input_spread import InputSpread, ModelSpread, Propagation, input_spread
 from vdmbench.measures.measurement import hold_against
 from vdmbench.measures.pushed import Answer
-from vdmbench.report.section_inputs import inputs as section
 from vdmbench.study.config import Study, load_study, resolved
 from vdmbench.study.sweep import inputs_of, variations
 from vdmbench.verdict.digest import Digest
@@ -119,21 +118,6 @@ def test_the_refined_reference_has_the_spread_of_its_own_mesh(tmp_path: Path, ca
     assert_allclose(bends[1], bends[0], rtol=1e-9)
 
 
-@pytest.mark.parametrize(("homogeneous", "set_ups"), [([], 3), (["fem-p1"], 1)])
-def test_an_inclusion_keeps_its_own_modulus(
-    tmp_path: Path, cache: Path, homogeneous: list[str], set_ups: int
-) -> None:
-    inclusion = {"name": "lump", "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.03}}
-    planned = plan(
-        tmp_path,
-        cache,
-        {E: {"sd": 500.0}},
-        study={"name": "test", "models": ["fem-p1"], "homogeneous": homogeneous},
-        inclusions=[{**inclusion, "youngs_modulus": 5e4}],
-    )
-    assert planned_work(planned)["set-ups"] == set_ups
-
-
 def test_samples_spread_as_their_inputs_do(tmp_path: Path, cache: Path) -> None:
     """A linear answer goes with its force: the spread is that of the 64 forces, free of charge."""
     planned = plan(tmp_path, cache, {"method": "sampling", "seed": 3, FORCE: {"sd": 0.002}})
@@ -147,27 +131,6 @@ def test_samples_spread_as_their_inputs_do(tmp_path: Path, cache: Path) -> None:
         assert_allclose(spread.displacement, np.std(forces, ddof=1) / 0.1, rtol=1e-6)
         assert_allclose(spread.displacement, 0.02, rtol=0.05)
         assert np.isnan(spread.parts).all()
-
-
-def test_the_place_of_a_support_can_be_an_input(tmp_path: Path, cache: Path) -> None:
-    (case,) = run(
-        plan(
-            tmp_path,
-            cache,
-            {"regions.base.below.fraction": {"range": [0.05, 0.4]}},
-            study={"name": "test", "models": ["fem-p1"]},
-        )
-    )
-    assert case.inputs is not None
-    assert case.inputs.models["fem-p1"].displacement > 0.1
-    told = section(Digest(make_run([case])))
-    assert told is not None
-    assert "moves none" not in str(told.blocks)
-    spread = case.inputs.models["fem-p1"]
-    lost = dataclasses.replace(case.inputs, models={"fem-p1": dataclasses.replace(spread, parts=np.zeros(1))})
-    told = section(Digest(make_run([dataclasses.replace(case, inputs=lost)])))
-    assert told is not None
-    assert "regions.base.below.fraction moves none of this mesh" in str(told.blocks)
 
 
 def unit_sphere() -> Surface:

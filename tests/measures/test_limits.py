@@ -161,8 +161,8 @@ def test_a_limit_that_the_finer_mesh_does_not_have_is_unresolved(finer: Body) ->
     assert np.isnan([limit.bar, limit.strain_bar, limit.indentation_bar]).all()
 
 
-@pytest.mark.parametrize("power", [0.5, 1.0, 2.5, 6.0])
-@pytest.mark.parametrize("start", [0.01, 1.0, 30.0, -30.0])
+@pytest.mark.parametrize("power", [0.5, 6.0])
+@pytest.mark.parametrize("start", [0.01, -30.0])
 def test_a_search_ends_at_a_strain_that_says_nothing(power: float, start: float) -> None:
     """Near the load of that strain, 20, from below, in few steps; no model is asked beyond it."""
     body = Body(reference_stops=30.0, strain=lambda load: MOST_STRAIN * (load / 20.0) ** power)

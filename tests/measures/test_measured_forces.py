@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.report.runs import make_case, make_run
 from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, run
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.input_spread import Propagation
-from vdmbench.measures.measurement import FORCE, Measurement, Quantity, hold_against
+from vdmbench.measures.measurement import FORCE, hold_against
 from vdmbench.measures.pushed import Answer
-from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.verdict import verdicts
 
 from .test_measured import STUDY, ball, load
 
@@ -145,20 +141,3 @@ def test_a_run_holds_its_models_against_a_curve(tmp_path: Path, cache: Path) -> 
         depth = -np.einsum("ij,ij->i", u, Surface(case.points, case.triangles).normals)[finger].min()
         assert_allclose(found.simulated[name], 0.1 * 0.004 / depth, rtol=1e-9)
         assert_allclose(found.inputs[name], 0.1 * found.simulated[name], rtol=1e-9)
-
-
-def curve_found() -> Measurement:
-    rows = [
-        Quantity("press", "finger", FORCE, 0, force, 0.05, 0.0, depth)
-        for depth, force in ((1e-3, 0.2), (2e-3, 0.5))
-    ]
-    nothing = np.full(2, np.nan)
-    simulated = {"vdm-paper": np.array([0.22, 0.8]), "fem-linear": np.array([0.2, np.nan])}
-    return Measurement(rows, simulated, dict.fromkeys(simulated, nothing), {"press": "a scale"})
-
-
-def test_the_verdict_has_each_model_against_its_forces() -> None:
-    case = dataclasses.replace(make_case({"vdm-paper": 0.1}), measurement=curve_found())
-    own, paper = verdicts(Digest(make_run([case]))).measured
-    assert (own.model, own.within, own.values) == ("fem-linear", 1, 1)
-    assert (paper.model, paper.within, paper.values) == ("vdm-paper", 1, 2)

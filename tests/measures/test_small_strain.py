@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fem_reference.linear import LinearProblem
 from vdmbench import models
-from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
-from vdmbench.body.refine import inherit, refine, refined
+from vdmbench.body.refine import inherit, refine
 from vdmbench.body.surface_measures import Surface, relative_l2
 from vdmbench.measures.case import SmallStrainLimits
-from vdmbench.measures.limits import LoadPath, LoadPoint
-from vdmbench.measures.reference import level_scene
-from vdmbench.models.elements import fem_loads
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import expand, load_study, raised
+from vdmbench.study.config import load_study, raised
 from vdmbench.study.errors import StudyError
 from vdmbench.study.schema import Study
-from vdmbench.work import small_strain
 from vdmbench.work.small_strain import small_strain_limits
 
-CASES = Path(small_strain.__file__).parents[1] / "cases"
 STUDY = """
 [study]
 name = "limits"
@@ -135,34 +127,6 @@ def test_the_limit_of_a_departure_by_a_power_law_is_that_of_the_refined_mesh(
         assert_allclose(limit.strain, strain, rtol=0.02, atol=0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("bars", [False, True])
-def test_the_short_way_to_each_load_gives_the_limits_of_the_long_one(
-    found: Found, monkeypatch: pytest.MonkeyPatch, *, bars: bool
-) -> None:
-    """From rest to every load, on both meshes where there are bars, and every model at every one."""
-    study, scene, short = found
-    if not bars:
-        study = study.model_copy(update={"uncertainty": None})
-        short = small_strain_limits(study, scene.mesh)
-    monkeypatch.setitem(models.all_models(), "fem", replace(models.all_models()["fem"], continues=None))
-
-    class Long(LoadPath):
-        def at(self, factor: float) -> LoadPoint | None:
-            point = super().at(factor)
-            return replace(point, error={name: point.error[name] for name in short.models}) if point else None
-
-    monkeypatch.setattr(small_strain, "LoadPath", Long)
-    long = small_strain_limits(study, scene.mesh)
-    for name, wanted in long.models.items():
-        got = short.models[name]
-        for one, other in zip((got, *got.limits), (wanted, *wanted.limits), strict=True):
-            for field, value in vars(other).items():
-                if isinstance(value, float):
-                    assert_allclose(getattr(one, field), value, rtol=1e-6, atol=1e-10, err_msg=field)
-        assert [limit.state for limit in got.limits] == [limit.state for limit in wanted.limits]
-
-
 SIDE = """
 [regions.side]
 all = [{ above = { axis = "x", value = "30 mm" } }, { above = { axis = "z", value = "0 mm" } }]
@@ -224,24 +188,3 @@ def test_a_load_that_stays_as_it_is_is_refused(tmp_path: Path, more: str, other:
     (problem,) = refused.value.problems
     assert problem.key == "limits.along"
     assert problem.message == f'"{other}" is a load too, which would not rise; along = "load" raises all'
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [path.stem for path in sorted(CASES.glob("*.toml")) if "\n[limits]" in path.read_text()]
-)
-def test_three_mesh_levels_agree_on_the_strain_of_the_axis(name: str) -> None:
-    """To 5 % on every shipped study that searches limits, where the largest of any point differs by more."""
-    study = expand(load_study(CASES / f"{name}.toml"))[0].study
-    mesh = build_mesh(study.geometry)
-    strains = []
-    for level in range(3):
-        scene = level_scene(study, refined(mesh, level)) if level else build_scene(study, mesh)
-        set_up = models.Prepared(scene, "fem-linear").set_up
-        problem = set_up.problem if set_up else None
-        outputs = frozenset({"p95_principal_strain", "max_principal_strain"})
-        assert isinstance(problem, LinearProblem)
-        found = problem.solve(fem_loads([scene.load(1.0)], problem.mesh), outputs).scalars
-        strains.append([float(found[one][0]) for one in sorted(outputs)])
-    largest, settled = np.ptp(strains, axis=0) / np.max(strains, axis=0)
-    assert settled < 0.05 < largest
