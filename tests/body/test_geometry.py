@@ -72,23 +72,18 @@ def test_every_shape_is_a_sound_mesh(geometry: Shape) -> None:
     assert mesh.quality["worst_sicn"] == tetrahedron_sicn(mesh.points, mesh.tetrahedra).min() >= 0.25
     assert mesh.quality["surface_nodes"] == len(mesh.surface_nodes)
     assert mesh.quality["volume"] == pytest.approx(volume, rel=1e-12)
-
-
-@pytest.mark.parametrize("geometry", SHAPES, ids=NAMES)
-def test_the_surface_alone_is_the_surface_of_the_volume_mesh(geometry: Shape) -> None:
-    mesh, surface = build_mesh(geometry), build_mesh(geometry, volume=False)
+    if geometry is not ORGAN:
+        assert_allclose(squared_level(geometry, mesh.surface_points), 1, rtol=1e-9, atol=0)
+        inner = np.setdiff1d(np.arange(len(mesh.points)), mesh.surface_nodes)
+        assert (squared_level(geometry, mesh.points[inner]) < 1).all()
+    of_shape, inside = geometry.area_and_volume()
+    for nodes, within in ((len(mesh.points), inside), (len(mesh.surface_nodes), 0.0)):
+        assert 0.8 < nodes / shapes.estimated_nodes(of_shape, within, geometry.mesh_size) < 1.25
+    surface = build_mesh(geometry, volume=False)
     assert_array_equal(surface.surface_points, mesh.surface_points)
     assert_array_equal(surface.triangles, mesh.triangles)
     assert len(surface.tetrahedra) == 0
     assert len(surface.points) == len(mesh.surface_nodes)
-
-
-@pytest.mark.parametrize("geometry", SHAPES[:4], ids=NAMES[:4])
-def test_surface_nodes_lie_on_the_exact_surface(geometry: Shape) -> None:
-    mesh = build_mesh(geometry)
-    assert_allclose(squared_level(geometry, mesh.surface_points), 1, rtol=1e-9, atol=0)
-    inner = np.setdiff1d(np.arange(len(mesh.points)), mesh.surface_nodes)
-    assert (squared_level(geometry, mesh.points[inner]) < 1).all()
 
 
 @pytest.mark.parametrize("geometry", [SPHERE, ELLIPSOID, CYLINDER], ids=["sphere", "ellipsoid", "cylinder"])
@@ -107,13 +102,6 @@ def test_a_cylinder_lies_along_its_axis(axis: str) -> None:
     expected = np.where(np.array(list("xyz")) == axis, 0.05, 0.03)
     assert_allclose(mesh.points.max(axis=0), expected, rtol=0.02, atol=0)
     assert_allclose(mesh.points.min(axis=0), -expected, rtol=0.02, atol=0)
-
-
-def test_a_scaled_shape_has_the_scaled_mesh() -> None:
-    """No tolerance in metres takes part: R = 50 mm and R = 1.6 m give the same mesh but for the factor."""
-    small, large = build_mesh(SPHERE), build_mesh(shaped("sphere", 0.012 * 32, {"radius": 0.05 * 32}))
-    assert_array_equal(small.points * 32, large.points)
-    assert_array_equal(small.tetrahedra, large.tetrahedra)
 
 
 def test_another_process_makes_the_same_bytes() -> None:
@@ -144,9 +132,7 @@ def test_the_organ_s_stated_measures_are_those_of_its_surface() -> None:
     assert_allclose(measured, geometry.area_and_volume(), rtol=1e-3, atol=0)
 
 
-@pytest.mark.parametrize(
-    "nodes", [500, pytest.param(5000, marks=pytest.mark.slow), pytest.param(20000, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("nodes", [500, pytest.param(5000, marks=pytest.mark.slow)])
 def test_the_organ_meshes_well_at_every_size(nodes: int) -> None:
     area, _ = ORGAN.area_and_volume()
     mesh = build_mesh(resized(ORGAN, float(np.sqrt(2 / np.sqrt(3) * area / nodes))))
@@ -175,7 +161,7 @@ def test_uniform_remeshing_keeps_a_ball() -> None:
     assert edges.std() / edges.mean() < 0.15
 
 
-@pytest.mark.parametrize("longest", [0.9, 0.55, 0.3, 0.17])
+@pytest.mark.parametrize("longest", [0.55, 0.17])
 def test_subdivision_keeps_the_surface(longest: float) -> None:
     points, triangles = unit_sphere(1)
     points = points * [1.0, 2.0, 0.5]
@@ -193,22 +179,6 @@ def test_subdivision_keeps_the_surface(longest: float) -> None:
         subdivided(points, triangles, longest, max_points=len(points) - 1)
 
 
-def test_distance_between_concentric_cubes_is_known() -> None:
-    cube = pv.Box((-1, 1, -1, 1, -1, 1)).triangulate().clean()
-    points, triangles = (
-        np.asarray(cube.points, dtype=float),
-        cube.faces.reshape(-1, 4)[:, 1:].astype(np.int64),
-    )
-    mean, near = surface_distance(points, triangles, 1.5 * points, triangles)
-    # edges lie sqrt(2)/2 from the inner cube and corners sqrt(3)/2; from within every probe is 1/2 away
-    assert_allclose(near, np.sqrt(3) / 2, rtol=1e-12, atol=0)
-    diagonal, rim = 0.5, np.sqrt(0.5)
-    inner, outer = 24.0, 54.0
-    assert_allclose(
-        mean, (inner * 0.5 + outer * (diagonal + 2 * rim) / 3) / (inner + outer), rtol=1e-12, atol=0
-    )
-
-
 def surface_file(path: Path, mesh: Mesh, unit: float = 1e-3, shift: float = 0.0) -> Path:
     surface = pv.PolyData(
         mesh.surface_points / unit + shift, faces=np.insert(mesh.triangles, 0, 3, axis=1).ravel()
@@ -220,7 +190,7 @@ def surface_file(path: Path, mesh: Mesh, unit: float = 1e-3, shift: float = 0.0)
     return path
 
 
-@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".vtp"])
+@pytest.mark.parametrize("suffix", [".stl", ".vtp"])
 def test_a_surface_file_is_scaled_remeshed_and_filled_where_it_lies(tmp_path: Path, suffix: str) -> None:
     original = build_mesh(resized(ELLIPSOID, 0.005))
     path = surface_file(tmp_path / f"a{suffix}", original, shift=300.0)
@@ -260,15 +230,6 @@ def test_size_and_scale_say_the_same(tmp_path: Path) -> None:
 
 
 # --- the specification and the cache -----------------------------------------------------------------
-
-
-@pytest.mark.parametrize("geometry", SHAPES, ids=NAMES)
-def test_nodes_are_estimated_well(geometry: Shape) -> None:
-    mesh = build_mesh(geometry)
-    for volume, nodes in ((True, len(mesh.points)), (False, len(mesh.surface_nodes))):
-        area, inside = geometry.area_and_volume()
-        estimate = shapes.estimated_nodes(area, inside if volume else 0.0, geometry.mesh_size)
-        assert 0.8 < nodes / estimate < 1.25
 
 
 def test_the_key_covers_the_inside_and_the_mesher(monkeypatch: pytest.MonkeyPatch) -> None:

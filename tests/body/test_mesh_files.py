@@ -346,7 +346,7 @@ def two_boxes(path: Path, version: float, binary: bool, save_all: bool) -> int:
 
 @pytest.mark.parametrize(
     ("version", "binary", "save_all"),
-    [(2.2, False, False), (2.2, True, False), (4.1, False, False), (4.1, True, False), (4.1, True, True)],
+    [(2.2, True, False), (4.1, False, False), (4.1, True, True)],
 )
 def test_physical_groups_become_masks_of_surface_nodes(
     tmp_path: Path, version: float, binary: bool, save_all: bool
