@@ -18,7 +18,6 @@ import platform
 import resource
 import secrets
 import shutil
-import sys
 import tempfile
 from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
@@ -34,12 +33,6 @@ _DIGEST_BYTES = 32  # a SHA-256 ends a file of arrays; readers of .npz do not mi
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 _CONTAINER = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # versions 2 and 1
 _PROCESSORS = Path("/proc/cpuinfo")
-# what steers a terminal or turns the direction of text; a tab and a line's end stay
-_STEERING = {
-    code: f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}"
-    for code in (*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A))
-    if chr(code) not in "\t\n"
-}
 
 
 # --- files ---
@@ -316,40 +309,3 @@ def _status(field: str) -> int:
         if line.startswith(field + ":"):
             return int(line.split()[1]) * 1024
     return 0
-
-
-# --- the terminal ---
-
-
-def harmless(text: str) -> str:
-    """The text with its control characters written as escapes: results from elsewhere steer no terminal."""
-    return text.translate(_STEERING)
-
-
-class _Harmless(io.TextIOWrapper):
-    """A stream that no text can steer."""
-
-    def write(self, text: str) -> int:
-        return super().write(harmless(text))
-
-
-def make_output_harmless() -> None:
-    """Have `sys.stdout` write escapes for what steers a terminal, and for characters that its encoding lacks.
-
-    Of streams that the caller closed the null device takes the place, lest the next file that is opened become one.
-    A stream that a program has exchanged stays.
-    """
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # becomes the lowest number that is free: this one
-    out = sys.__stdout__
-    if out is not None and out is sys.stdout:
-        sys.stdout = _Harmless(
-            out.buffer,
-            out.encoding,
-            errors="backslashreplace",
-            line_buffering=out.isatty(),
-            write_through=False,
-        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import json
@@ -82,6 +83,12 @@ profile = "hertz"
 [load]
 factors = [0.5, 1.0]
 """
+
+
+def do(options: argparse.Namespace) -> int:
+    """What a verb answers, where its errors are to be caught."""
+    code: int = options.verb(options)
+    return code
 
 
 def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -1,4 +1,4 @@
-"""The command line: a verb is a file `verb_NAME.py` with its summary, its arguments and what it does."""
+"""The command line: a verb is a function of a file `verb*.py`, registered with its summary and its arguments."""
 
 from __future__ import annotations
 
@@ -6,39 +6,71 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any, NoReturn
+from typing import Any, NamedTuple
 
-from ..machine import harmless
 from .output import UsageError
 
 _ORDER = (
     *("new", "list", "check", "show", "plan", "run", "calibrate", "report"),
     *("compare", "export", "gate", "accept", "bench", "claims", "schema"),
 )
-_FOUND = {
-    module.name.removeprefix("verb_")
-    for module in iter_modules(import_module(__package__).__path__)
-    if module.name.startswith("verb_")
-}
-VERBS = (*_ORDER, *sorted(_FOUND - {*_ORDER}))  # in the order in which they are told
+Option = tuple[tuple[str, ...], dict[str, Any]]  # as `add_argument` takes them
+Do = Callable[[argparse.Namespace], int]
+
+
+class Verb(NamedTuple):
+    """What a verb is said to do, what it takes, and what does it."""
+
+    summary: str
+    arguments: tuple[Option, ...]
+    do: Do
+
+
+_FOUND: dict[str, Verb] = {}
+
+
+def verb(name: str, summary: str, *arguments: Option) -> Callable[[Do], Do]:
+    """Register a function as a verb: given the arguments it returns the exit code; its docstring is the help."""
+
+    def add(do: Do) -> Do:
+        _FOUND[name] = Verb(summary, arguments, do)
+        return do
+
+    return add
+
+
+@cache
+def verbs() -> dict[str, Verb]:
+    """Every verb of the files `verb*.py` by its name, in the order in which they are told."""
+    for module in iter_modules(import_module(__package__).__path__):
+        if module.name.startswith("verb"):
+            import_module(f".{module.name}", __package__)
+    return {name: _FOUND[name] for name in (*_ORDER, *sorted(_FOUND.keys() - {*_ORDER}))}
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """The arguments, by default those of the process; `verb` is what to call with them. Exits on a mistake."""
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    named = [word for word in words[:1] if word in VERBS]  # the other verbs take their time to load
-    return _parser(named or VERBS).parse_args(words)
-
-
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong as `output.complain` does: no argument steers the terminal."""
-
-    def error(self, message: str) -> NoReturn:
-        super().error(harmless(message))
+    """The arguments, by default those of the process; `verb` is what to do with them. Exits on a mistake."""
+    parser = argparse.ArgumentParser(
+        prog="vdmbench",
+        description="Compare the Volume Distribution Method with finite elements on the same mesh.",
+        epilog="exit codes: 0 ok, 1 accuracy regressed or bars too narrow, 2 usage or study file wrong, "
+        "3 some cases failed, 4 machine lacks something, 5 stored results damaged, "
+        "6 not all was compared, 70 a bug of the program, 130 interrupted",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    subparsers = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
+    for name, verb in verbs().items():
+        sub = subparsers.add_parser(name, help=verb.summary, description=verb.do.__doc__)
+        sub.add_argument("--json", action="store_true", help="print JSON")
+        for words, how in verb.arguments:
+            sub.add_argument(*words, **how)
+        sub.set_defaults(verb=verb.do)
+    return parser.parse_args(sys.argv[1:] if arguments is None else list(arguments))
 
 
 class _Version(argparse.Action):
@@ -49,27 +81,6 @@ class _Version(argparse.Action):
 
         print(f"{parser.prog} {version('vdmbench')}")
         parser.exit()
-
-
-def _parser(names: Sequence[str]) -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="vdmbench",
-        description="Compare the Volume Distribution Method with finite elements on the same mesh.",
-        epilog="exit codes: 0 ok, 1 accuracy regressed or bars too narrow, 2 usage or study file wrong, "
-        "3 some cases failed, 4 machine lacks something, 5 stored results damaged, "
-        "6 not all was compared, 70 a bug of the program, 130 interrupted",
-    )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
-    verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
-    for name in names:
-        verb = import_module(f".verb_{name}", __package__)
-        told = getattr(verb, "MORE", verb.SUMMARY)
-        sub = verbs.add_parser(name, help=verb.SUMMARY, description=told)
-        sub.add_argument("--json", action="store_true", help="print JSON")
-        for words, how in verb.ARGUMENTS:
-            sub.add_argument(*words, **how)
-        sub.set_defaults(verb=verb.run, goes_on=getattr(verb, "GOES_ON", False))
-    return parser
 
 
 # --- what arguments may be, each told where it is not ---
@@ -148,9 +159,6 @@ def shard(text: str) -> tuple[int, int]:
 
 
 # --- the arguments that several verbs share ---
-
-
-Option = tuple[tuple[str, ...], dict[str, Any]]  # as `add_argument` takes them
 
 
 def option(*words: str, **how: Any) -> Option:

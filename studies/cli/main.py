@@ -37,11 +37,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     gc.set_threshold(_OBJECTS)
     # which would be looked for in every installed package
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    options = None
     try:
-        from ..machine import make_output_harmless, require_memory
+        from ..machine import require_memory
 
-        make_output_harmless()
+        if hasattr(sys.stdout, "reconfigure"):
+            # what its encoding lacks becomes an escape; what does not get out is told at the end
+            sys.stdout.reconfigure(errors="backslashreplace", write_through=False)
         require_memory()
         from .arguments import parse
 
@@ -51,24 +52,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- told, whatever it is
         interrupt.stopped = True
         if interrupt.received or isinstance(error, KeyboardInterrupt):
-            code = _complain_of_interrupt(options)
+            from .output import INTERRUPTED, complain
+
+            code = complain("interrupted; what is complete is kept: give the same command again", INTERRUPTED)
         else:
             code = _complain_of(error)
     _flush_output()
     gc.freeze()  # the end is no time to look for garbage
     sys.exit(code)
-
-
-def _complain_of_interrupt(options: object) -> int:
-    """Says what the same command does next; without `options` it was stopped before these were read."""
-    from .output import INTERRUPTED, complain
-
-    if options is None:
-        return complain("interrupted; nothing was begun", INTERRUPTED)
-    if not getattr(options, "goes_on", False):
-        return complain("interrupted; the same command starts anew", INTERRUPTED)
-    again = "begins again (--fresh)" if getattr(options, "fresh", False) else "goes on from here"
-    return complain(f"interrupted; what is done is kept, the same command {again}", INTERRUPTED)
 
 
 def _flush_output() -> None:

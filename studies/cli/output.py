@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..machine import harmless, json_text
+from ..machine import json_text
 from ..study.errors import plural
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def print_table(rows: Sequence[dict[str, str]]) -> None:
 def tell(text: str) -> None:
     """A line of progress, on standard error."""
     with contextlib.suppress(OSError):  # a full disk; a terminal that is gone ends no run
-        print(harmless(text), file=sys.stderr, flush=True)
+        print(text, file=sys.stderr, flush=True)
 
 
 def print_json(value: Any) -> int:

@@ -6,7 +6,6 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from ..machine import harmless
 from .output import OK, complain, tell
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ class Progress:
         self.done += ended
         if self.quiet:
             return
-        place = ": ".join(filter(None, [harmless(event.label or self.name), harmless(event.message)]))
+        place = ": ".join(filter(None, [event.label or self.name, event.message]))
         if sys.stderr.isatty():
             # not sooner: it is a thread, and workers are forked from a process that has no other
             self.bar = self.bar or _bar()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from .arguments import RUNS, STUDY_READS, flag, option, study_argument
+from .arguments import RUNS, STUDY_READS, flag, option, study_argument, verb
 from .output import FAILED, OK, UsageError, complain_of_failures, print_json, print_table, tell
 from .studies import command_of, load, make_plan, only_case, require_own, run_missing
 
@@ -13,13 +13,10 @@ if TYPE_CHECKING:
     from ..measures.case import Run
     from ..work.plan import Plan
 
-SUMMARY = "fit VDM parameters on half of a study's loads, try them on the rest"
-MORE = (
-    "Fit VDM parameters on half of a study's loads, try them on the rest. With --measured: fit Young's modulus of "
-    "each model on the first load that was measured, and try it on the others."
-)
-GOES_ON = True
-ARGUMENTS = (
+
+@verb(
+    "calibrate",
+    "fit VDM parameters on half of a study's loads, try them on the rest",
     study_argument(),
     *STUDY_READS,
     *RUNS,
@@ -32,10 +29,12 @@ ARGUMENTS = (
     ),
     flag("--measured", "fit Young's modulus to the study's [[measured]] tables instead"),
 )
+def calibrate_study(options: argparse.Namespace) -> int:
+    """Fit VDM parameters on half of a study's loads, try them on the rest.
 
-
-def run(options: argparse.Namespace) -> int:
-    """Fit the VDM parameters on half of a study's loads; print and write the table for its `[vdm]`."""
+    With --measured: fit Young's modulus of each model on the first load that was measured, and try it on the
+    others.
+    """
     from ..calibrate import as_json, as_toml, body, calibrate, check, check_fit, finer_study, table
     from ..machine import json_text, write_atomically
     from ..study.errors import StudyError

@@ -9,8 +9,7 @@ from pathlib import Path
 from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
 
-from ..machine import harmless
-from .arguments import RUNS, STUDY_READS, given_run_directory, option
+from .arguments import RUNS, STUDY_READS, given_run_directory, option, verb
 from .output import (
     FAILED,
     OK,
@@ -31,13 +30,6 @@ if TYPE_CHECKING:
     from ..gate import Baseline, Finding
     from ..measures.foreign import Foreign
 
-SUMMARY = (
-    "put runs side by side, each held against the first; or another program's result beside a study's models"
-)
-MORE = (
-    "Put runs side by side, each held against the first. With --result FILE: judge what another program computed "
-    "for STUDY, at its largest load, like a model of it."
-)
 MOST = len(ascii_uppercase)  # runs, each a letter
 HEADLINE = {  # shown whether it has changed or not; of the others what has
     "relative_l2_displacement_error": "displacement error",
@@ -47,7 +39,11 @@ HEADLINE = {  # shown whether it has changed or not; of the others what has
 }
 _MARKS = {"worse": "worse", "newly failing": "fails", "not comparable": "?", "missing": "gone"}
 _MARKS |= {"better": "better", "newly passing": "passes", "new": "new"}
-ARGUMENTS = (
+
+
+@verb(
+    "compare",
+    "put runs side by side, each held against the first; or another program's result beside a study's models",
     option(
         "directories",
         metavar="DIR",
@@ -65,10 +61,11 @@ ARGUMENTS = (
     *RUNS,
     *STUDY_READS,
 )
+def compare_runs(options: argparse.Namespace) -> int:
+    """Put runs side by side, each held against the first.
 
-
-def run(options: argparse.Namespace) -> int:
-    """Print models by metrics by runs, or judge another program's result."""
+    With --result FILE: judge what another program computed for STUDY, at its largest load, like a model of it.
+    """
     if options.result is not None:
         return _judge(options)
     return _side_by_side(options)
@@ -128,7 +125,7 @@ def _print(
     from ..verdict.formatting import of_unit
 
     for letter, name in zip(ascii_uppercase, names, strict=False):
-        print(harmless(f"{letter}  {name}"[:WIDTH]))
+        print(f"{letter}  {name}"[:WIDTH])
     print("at full load, the worst of all cases; held against A case by case")
     news = {"worse", "better", "newly failing", "newly passing"}
     changed = {row["metric"] for row in found if news & {*row["outcomes"]}}
@@ -141,14 +138,14 @@ def _print(
                 letter: f"{of_unit(value, row['unit'])} {_MARKS.get(outcome, '')}".rstrip()
                 for letter, value, outcome in cells
             }
-            rows.append({"model": harmless(row["model"]), **told})
+            rows.append({"model": row["model"], **told})
         print_table(rows)
     print()
     for letter, each in zip(ascii_uppercase[1:], findings, strict=False):
         print(f"{letter} against A: {summary(each)}")
         why = list(dict.fromkeys(finding.why for finding in each if finding.why))
         for reason in [*why[:3], *([f"and {len(why) - 3} more; all by --json"] if len(why) > 3 else [])]:
-            print(folded(harmless(reason), "   "))
+            print(folded(reason, "   "))
 
 
 def _judge(options: argparse.Namespace) -> int:

@@ -6,27 +6,26 @@ import argparse
 from pathlib import Path
 
 from ..machine import whole_directory, write_atomically
-from .arguments import CASE, STUDY_READS, given_run_directory, option, place, study_argument
+from .arguments import CASE, STUDY_READS, given_run_directory, option, place, study_argument, verb
 from .output import OK, UsageError, print_json
 from .studies import load, make_plan, numbered_case
 
-SUMMARY = "write a run's tables, figures and meshes, or a study's scene for other programs"
-MORE = (
-    "Of a run directory: its tables (CSV, LaTeX), figures (SVG) and a mesh per case (VTU) with what each model "
-    "answers at full load. Lengths in a mesh are in metres; those of a body from a file are in its own unit, so "
-    "that the mesh lies on the scan. Of a study: one case at its largest load, as a mesh with regions (VTU, MSH), "
-    "supports and loads (JSON), and scenes for SOFA, FEBio and MuJoCo, all in metres, newtons and pascals."
-)
-ARGUMENTS = (
+
+@verb(
+    "export",
+    "write a run's tables, figures and meshes, or a study's scene for other programs",
     study_argument(", or a run directory"),
     *STUDY_READS,
     option("--to", type=place, required=True, metavar="OUT", help="a new or an empty directory"),
     CASE,
 )
+def export_files(options: argparse.Namespace) -> int:
+    """Of a run directory: its tables (CSV, LaTeX), figures (SVG) and a mesh per case (VTU) with what models answer.
 
-
-def run(options: argparse.Namespace) -> int:
-    """Write the files, and say which."""
+    Answers are those at full load. Lengths in a mesh are in metres, those of a body from a file in its own unit, so
+    that the mesh lies on the scan. Of a study: one case at its largest load, as a mesh with regions (VTU, MSH),
+    supports and loads (JSON), and scenes for SOFA, FEBio and MuJoCo, all in metres, newtons and pascals.
+    """
     out: Path = options.to
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"{out}: is not an empty directory; name a new one")

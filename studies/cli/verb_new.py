@@ -8,19 +8,20 @@ import re
 from pathlib import Path
 from typing import Any
 
-from .arguments import option
+from .arguments import option, verb
 from .output import OK, UsageError, print_json
 
-SUMMARY = "write a study file to begin with, or a copy of another study"
 TEMPLATE = Path(__file__).with_name("new_study.toml")
 _NAME = re.compile(r'^(\s*name\s*=\s*)(?:"[^"\n]*"|\'[^\'\n]*\')', re.MULTILINE)
-ARGUMENTS = (
+
+
+@verb(
+    "new",
+    "write a study file to begin with, or a copy of another study",
     option("name", metavar="NAME", help="name of the study; NAME.toml is written, which must be new"),
     option("--from", dest="source", metavar="STUDY", help="a study to copy, a file or a shipped one"),
 )
-
-
-def run(options: argparse.Namespace) -> int:
+def new_study(options: argparse.Namespace) -> int:
     """Write NAME.toml, and beside it the files that a copied study names."""
     from ..study.files import study_path
     from ..study.kinds import is_safe_name

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .arguments import CASE, CHANGES, STUDY_READS, option, place, study_argument
+from .arguments import CASE, CHANGES, STUDY_READS, option, place, study_argument, verb
 from .output import OK, print_json
 from .studies import load, make_plan, numbered_case
 
@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from ..measures.case import CaseResult
     from ..work.plan import Plan, PlannedCase
 
-SUMMARY = "draw body, regions and loads of a study before anything is solved"
-ARGUMENTS = (
+
+@verb(
+    "show",
+    "draw body, regions and loads of a study before anything is solved",
     study_argument(),
     *STUDY_READS,
     CHANGES,
@@ -27,9 +29,7 @@ ARGUMENTS = (
     ),
     CASE,
 )
-
-
-def run(options: argparse.Namespace) -> int:
+def show_scene(options: argparse.Namespace) -> int:
     """Mesh the surface, put the scene on it, draw it."""
     from ..machine import write_atomically
     from ..report.scene_picture import Stage, scene_png

@@ -129,14 +129,6 @@ def run_plan(
         return dataclasses.replace(run, plan=planned), report
 
 
-def lost_cases(plan: Plan, shard: tuple[int, int], run: Run) -> list[str]:
-    """Labels of the cases of a shard that a finished run should have, done or failed, and that are not there."""
-    if not run.missing:
-        return []
-    there = {case.hash for case in run.cases} | {failure["hash"] for failure in run.failed}
-    return [case.label or plan.study.study.name for case in plan.in_shard(shard) if case.hash not in there]
-
-
 def _as_told(plan: Plan, texts: Mapping[str, bytes]) -> Run | None:
     """The run as its report tells it, where nothing has changed since; None where that is to be made anew."""
     run = told_run(plan.directory)

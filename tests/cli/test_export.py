@@ -14,9 +14,9 @@ import pytest
 import pyvista
 from numpy.testing import assert_allclose
 
+from tests.command import do
 from tests.example_case import asked
 from tests.report.runs import make_case, make_run, sweep_run
-from vdmbench.cli import verb_export
 from vdmbench.cli.arguments import parse
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.report.blocks import Cell, Column, Table
@@ -27,7 +27,7 @@ from vdmbench.report.export import table_csv, table_latex
 def _export(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "run" / "cases").mkdir(parents=True)
     monkeypatch.setattr("vdmbench.store.cases.read_run", lambda _: run)
-    assert verb_export.run(parse(["export", f"{tmp_path}/run", "--to", f"{tmp_path}/out", "--json"])) == 0
+    assert do(parse(["export", f"{tmp_path}/run", "--to", f"{tmp_path}/out", "--json"])) == 0
     return tmp_path / "out"
 
 

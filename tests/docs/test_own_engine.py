@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.command import SMALL_STUDY
+from tests.command import SMALL_STUDY, do
 from vdmbench import models
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.cli.arguments import parse
-from vdmbench.cli.verb_export import run
 from vdmbench.measures.foreign import read_foreign
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, load_study
@@ -36,7 +35,7 @@ def test_it_has_twenty_lines_and_says_what_ours_says(tmp_path: Path, monkeypatch
     assert len(solving.splitlines()) <= 22, "twenty, and two that write"
     monkeypatch.chdir(tmp_path)
     Path("small.toml").write_text(SMALL_STUDY + TOOL)
-    assert run(parse(["export", "small.toml", "--to", "out", "--cache", "cache", "--json"])) == 0
+    assert do(parse(["export", "small.toml", "--to", "out", "--cache", "cache", "--json"])) == 0
     runpy.run_path(str(ENGINE))
     (case,) = expand(load_study(Path("small.toml")))
     mesh = mesh_from_cache(case.study.geometry, Path("cache"))

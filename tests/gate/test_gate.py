@@ -11,10 +11,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from tests.command import SMALL_STUDY, vdmbench
+from tests.command import SMALL_STUDY, do, vdmbench
 from tests.report.runs import make_case, make_run
 from vdmbench import gate
-from vdmbench.cli import verb_compare
 from vdmbench.cli.arguments import parse
 from vdmbench.gate import BaselineError, Finding, accept, compare, counts, read_baseline
 from vdmbench.measures.case import CaseResult, Run
@@ -322,7 +321,7 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_runs_stand_side_by_side_in_80_columns(beside: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert verb_compare.run(parse(["compare", *beside])) == 0
+    assert do(parse(["compare", *beside])) == 0
     told = capsys.readouterr().out
     lines = told.splitlines()
     assert max(map(len, lines)) <= 80
@@ -341,7 +340,7 @@ def test_runs_stand_side_by_side_in_80_columns(beside: list[str], capsys: pytest
 def test_json_has_every_metric_and_the_findings(
     beside: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert verb_compare.run(parse(["compare", *beside[:2], "--json"])) == 0
+    assert do(parse(["compare", *beside[:2], "--json"])) == 0
     told = json.loads(capsys.readouterr().out)
     row = next(row for row in told["rows"] if (row["metric"], row["model"]) == ("hausdorff_distance", "bem"))
     assert row["outcomes"] == ["first", "newly failing"]
@@ -349,7 +348,7 @@ def test_json_has_every_metric_and_the_findings(
     assert row["values"][1] is None
     assert {finding["outcome"] for finding in told["findings"][0]} >= {"worse", "better", "newly failing"}
     with pytest.raises(ValueError, match="give 2 to 26 different run directories, not 1"):
-        verb_compare.run(parse(["compare", beside[0], f"{beside[0]}/."]))
+        do(parse(["compare", beside[0], f"{beside[0]}/."]))
 
 
 def test_the_verdict_of_a_family_is_gated() -> None:

@@ -25,7 +25,6 @@ from tests.in_process import HerePool
 from tests.store.test_store import _reseal
 from vdmbench import machine
 from vdmbench.cli.main import main
-from vdmbench.report import rebuild
 from vdmbench.store import run_directory
 from vdmbench.study.errors import install_line
 from vdmbench.work import run, worker
@@ -171,26 +170,6 @@ def test_what_is_wrong_with_results_is_told(
     spoil, command, code, words = DAMAGE[wrong]
     spoil(tmp_path)
     assert words in said(command.split(), code, capsys)
-
-
-def test_a_run_that_finds_fewer_cases_than_it_made_says_so(
-    undisturbed: tuple[Path, float],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True)
-    assert "no longer in" not in said(["run", "small.toml"], 0, capsys)
-    whole = rebuild.rebuild
-
-    def without_one(directory: Path) -> Any:
-        _case(tmp_path).unlink()
-        return whole(directory)
-
-    monkeypatch.setattr(rebuild, "rebuild", without_one)
-    assert "no longer in results/runs/small: 1 case of this run, first " in said(
-        ["run", "small.toml", "--fresh"], 3, capsys
-    )
 
 
 @pytest.mark.parametrize(("extra", "code"), [([], 6), (["--allow-missing"], 0)])

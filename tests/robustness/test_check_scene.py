@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from matplotlib.image import imread
 
-from tests.command import write_study
-from vdmbench.cli import verb_check, verb_show
+from tests.command import do, write_study
 from vdmbench.cli.arguments import parse
 from vdmbench.study.errors import StudyError
 
@@ -68,14 +67,14 @@ def test_a_scene_is_told_with_file_and_line(name: str, capsys: pytest.CaptureFix
     options = parse(["check", "small.toml"])
     if code == 2:
         with pytest.raises(StudyError) as raised:
-            verb_check.run(options)
+            do(options)
         assert str(raised.value).startswith(told)
-        assert verb_check.run(parse(["check", "small.toml", "--json"])) == 2
+        assert do(parse(["check", "small.toml", "--json"])) == 2
         assert json.loads(capsys.readouterr().out)["problems"][0]["line"] == int(told.split(":")[1])
     else:
-        assert verb_check.run(options) == 0
+        assert do(options) == 0
         assert told in capsys.readouterr().out
-        assert verb_check.run(parse(["check", "small.toml", "--json"])) == 0
+        assert do(parse(["check", "small.toml", "--json"])) == 0
         lines = [problem["line"] for problem in json.loads(capsys.readouterr().out)["warnings"]]
         assert int(told.split(":")[2]) in lines if told.startswith("warning") else lines == []
 
@@ -86,7 +85,7 @@ def test_what_the_memory_does_not_do_is_no_study_to_run(monkeypatch: pytest.Monk
     with pytest.raises(
         StudyError, match=r"small.toml:11: geometry.mesh_size: fem-linear on a mesh of sphere"
     ):
-        verb_check.run(parse(["check", "small.toml"]))
+        do(parse(["check", "small.toml"]))
 
 
 def test_what_the_memory_may_not_do_is_doubted(
@@ -94,13 +93,13 @@ def test_what_the_memory_may_not_do_is_doubted(
 ) -> None:
     write_study(Path())
     monkeypatch.setattr("vdmbench.work.explain.machine_memory", lambda: 5_000_000)
-    assert verb_check.run(parse(["check", "small.toml"])) == 0
+    assert do(parse(["check", "small.toml"])) == 0
     assert "warning: small.toml:11: geometry.mesh_size: fem-linear" in capsys.readouterr().out
 
 
 def test_a_scene_is_drawn_before_anything_is_solved(capsys: pytest.CaptureFixture[str]) -> None:
     write_study(Path())
-    assert verb_show.run(parse(["show", "small.toml"])) == 0
+    assert do(parse(["show", "small.toml"])) == 0
     told = capsys.readouterr().out
     assert "Contact: finger, 0.1 N, hertz pressure" in told
     assert "picture: small-scene.png" in told
@@ -111,4 +110,4 @@ def test_a_scene_is_drawn_before_anything_is_solved(capsys: pytest.CaptureFixtur
     assert ((red - blue > 0.2) & (red > green)).sum() > 500
     assert not Path("results").exists(), "nothing is solved, nothing is kept"
     with pytest.raises(ValueError, match="--case 2: the study has 1 cases"):
-        verb_show.run(parse(["show", "small.toml", "--case", "2"]))
+        do(parse(["show", "small.toml", "--case", "2"]))

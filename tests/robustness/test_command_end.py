@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.command import vdmbench
+from vdmbench.cli.arguments import verbs
 from vdmbench.cli.main import _complain_of
 from vdmbench.cli.output import UsageError
 from vdmbench.store.hdf5 import OlderSchemaError, StoreError
@@ -38,7 +39,7 @@ def test_what_an_error_means_to_the_shell(
     def verb(_: object) -> int:
         raise error
 
-    monkeypatch.setattr("vdmbench.cli.verb_list.run", verb)
+    monkeypatch.setitem(verbs(), "list", verbs()["list"]._replace(do=verb))
     result = vdmbench("list", cwd=tmp_path)
     assert result.returncode == code
     assert result.stderr.splitlines() == [f"vdmbench: {line}" for line in said]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vdmbench.cli import verb_check, verb_new
+from tests.command import do
 from vdmbench.cli.arguments import parse
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.files import shipped_studies
@@ -19,11 +19,11 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_it_writes_is_sound_and_told_line_by_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert verb_new.run(parse(["new", "palpation"])) == 0
+    assert do(parse(["new", "palpation"])) == 0
     study = load_study(Path("palpation.toml"))
     assert study.study.name == "palpation"
     assert len(expand(study)) == 2
-    assert verb_check.run(parse(["check", "palpation.toml"])) == 0
+    assert do(parse(["check", "palpation.toml"])) == 0
     assert capsys.readouterr().out.endswith("palpation.toml: ok, 2 cases\n"), "without a doubt"
     text = Path("palpation.toml").read_text()
     assert "vdmbench run palpation.toml" in text
@@ -40,7 +40,7 @@ def test_what_it_writes_is_sound_and_told_line_by_line(capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize("name", shipped_studies())
 def test_every_shipped_study_can_be_copied(name: str) -> None:
-    assert verb_new.run(parse(["new", "folder/mine.toml", "--from", name])) == 0
+    assert do(parse(["new", "folder/mine.toml", "--from", name])) == 0
     source, mine = (
         tomllib.loads(path.read_text()) for path in (shipped_studies()[name], Path("folder/mine.toml"))
     )
@@ -54,18 +54,18 @@ def test_files_that_a_study_names_come_along() -> None:
     Path("from/liver.stl").write_text("solid")
     text = '[study]\nmodels = ["vdm-paper"]\nname = \'old\'\n[geometry]\nshape = "file"\npath = "liver.stl"\n'
     Path("from/old.toml").write_text(text)
-    assert verb_new.run(parse(["new", "to/new", "--from", "from/old.toml"])) == 0
+    assert do(parse(["new", "to/new", "--from", "from/old.toml"])) == 0
     assert Path("to/new.toml").read_text() == text.replace("'old'", '"new"')
     assert Path("to/liver.stl").read_text() == "solid"
     Path("from/old.toml").write_text(text.replace("liver.stl", "../secret"))
     with pytest.raises(ValueError, match=r"names '\.\./secret', which is no file beside it"):
-        verb_new.run(parse(["new", "other", "--from", "from/old.toml"]))
+        do(parse(["new", "other", "--from", "from/old.toml"]))
 
 
 def test_nothing_is_overwritten() -> None:
     Path("mine.toml").write_text("precious")
     with pytest.raises(ValueError, match=r"mine.toml: is there already, and is not overwritten"):
-        verb_new.run(parse(["new", "mine"]))
+        do(parse(["new", "mine"]))
     assert Path("mine.toml").read_text() == "precious"
     with pytest.raises(ValueError, match="letters, digits"):
-        verb_new.run(parse(["new", "my study"]))
+        do(parse(["new", "my study"]))

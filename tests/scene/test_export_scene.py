@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.command import SMALL_STUDY
+from tests.command import SMALL_STUDY, do
 from vdmbench.body.geometry import build_mesh
-from vdmbench.cli import verb_export
 from vdmbench.cli.arguments import parse
 from vdmbench.cli.output import UsageError
 from vdmbench.machine import whole_directory
@@ -264,15 +263,15 @@ def test_export_of_a_study(
     monkeypatch.chdir(tmp_path)
     Path("small.toml").write_text(SMALL_STUDY + '[sweep]\n"tissue.poisson_ratio" = [0.3, 0.4]\n')
     asked = ["export", "small.toml", "--to", "out", "--cache", "cache", "--case", "2", "--json"]
-    assert verb_export.run(parse(asked)) == 0
+    assert do(parse(asked)) == 0
     told = json.loads(capsys.readouterr().out)
     assert "scene.feb" in told["files"]
     assert json.loads(Path("out/scene.json").read_text())["tissue"]["poisson_ratio"] == 0.4
     with pytest.raises(UsageError, match="the study has 2 cases"):
-        verb_export.run(parse([*asked[:3], "other", *asked[4:7], "3"]))
+        do(parse([*asked[:3], "other", *asked[4:7], "3"]))
     Path("folder").mkdir()
     with pytest.raises(UsageError, match="not a run directory"):
-        verb_export.run(parse(["export", "folder", "--to", "other"]))
+        do(parse(["export", "folder", "--to", "other"]))
 
 
 def test_an_export_under_a_limit_of_file_size_leaves_nothing(

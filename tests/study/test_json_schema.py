@@ -8,7 +8,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from vdmbench.cli import verb_new
+from vdmbench.cli.verb_new import TEMPLATE
 from vdmbench.study.fields import study_schema
 from vdmbench.study.files import shipped_studies
 
@@ -28,7 +28,7 @@ def _places(schema: jsonschema.Draft202012Validator, data: Any) -> list[str]:
 
 def test_every_shipped_study_is_sound(schema: jsonschema.Draft202012Validator) -> None:
     texts = {name: path.read_text() for name, path in shipped_studies().items()}
-    texts |= {"new": verb_new.TEMPLATE.read_text(), "full": FULL}
+    texts |= {"new": TEMPLATE.read_text(), "full": FULL}
     for name, text in texts.items():
         assert _places(schema, tomllib.loads(text)) == [], name
 

@@ -1,24 +1,48 @@
-"""`vdmbench gate`: a run's accuracy held against what was accepted."""
+"""What is made of the stored results of a run: `report gate accept`."""
 
 from __future__ import annotations
 
 import argparse
 
-from .arguments import BASELINE, RUN, flag, option, place
-from .output import NOTHING_COMPARED, OK, REGRESSED, complain, print_json
+from ..study.errors import plural
+from .arguments import BASELINE, RUN, flag, option, place, run_directory, verb
+from .output import NOTHING_COMPARED, OK, REGRESSED, complain, print_json, print_run
 from .studies import baseline_of
 
-SUMMARY = "hold a run's accuracy against its baseline"
-ARGUMENTS = (
+
+@verb(
+    "report",
+    "rebuild the report from the stored results",
+    option("directory", type=run_directory, metavar="DIR", help="run directory"),
+    option(
+        "--picture",
+        type=place,
+        metavar="FILE",
+        help="write a PNG of reference, model and difference too",
+    ),
+)
+def report_run(options: argparse.Namespace) -> int:
+    """Rebuild the report of a directory."""
+    from ..report.rebuild import rebuild
+
+    run, report = rebuild(options.directory)
+    if options.picture:
+        from ..report.page import write_picture
+
+        write_picture(run, options.picture)
+    return print_run(run, options.directory, report, options.json)
+
+
+@verb(
+    "gate",
+    "hold a run's accuracy against its baseline",
     RUN,
     BASELINE,
     flag("--allow-missing", "compare what is there; by default what is missing or not comparable is 6"),
     option("--junit", type=place, metavar="FILE", help="write JUnit XML too"),
     option("--markdown", type=place, metavar="FILE", help="write a summary in Markdown too"),
 )
-
-
-def run(options: argparse.Namespace) -> int:
+def gate_run(options: argparse.Namespace) -> int:
     """Compare a run with its baseline."""
     from .. import gate
     from ..machine import write_atomically
@@ -53,3 +77,24 @@ def run(options: argparse.Namespace) -> int:
     why = f"nothing was compared: {missing}" if missing else ""
     why = why or gate.why_not_passed(findings, allow_missing=options.allow_missing)
     return complain(why, NOTHING_COMPARED) if why else OK
+
+
+@verb(
+    "accept",
+    "make a run's accuracy the baseline",
+    RUN,
+    BASELINE,
+    option("--reason", required=True, metavar="TEXT", help="why these numbers are right"),
+)
+def accept_run(options: argparse.Namespace) -> int:
+    """Write a run as the baseline."""
+    from ..gate import accept
+    from ..store.cases import read_run
+
+    run = read_run(options.directory)
+    path = baseline_of(options, run.study.study.name)
+    baseline = accept(run, path, options.reason)
+    if options.json:
+        return print_json({"baseline": str(path), "cases": len(baseline.cases), "reason": baseline.reason})
+    print(f"accepted {plural(len(baseline.cases), 'case')}: {path}")
+    return OK

@@ -1,4 +1,4 @@
-"""`vdmbench bench`: run time against error for every model."""
+"""Trials that bring their own studies, in minutes: `bench claims`."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import argparse
 from pathlib import Path
 
 from ..machine import cache_directory, results_directory
-from .arguments import STUDY_READS, option, place, study_argument
-from .output import OK, UsageError, print_json, print_table, tell
+from .arguments import STUDY_READS, option, place, study_argument, verb
+from .output import OK, UsageError, folded, print_json, print_table, tell
 from .studies import load, make_plan
 
-SUMMARY = "measure run time against error for every model, in about five minutes a body"
-ARGUMENTS = (
+
+@verb(
+    "bench",
+    "measure run time against error for every model, in about five minutes a body",
     study_argument(
         ": its body and its models, in place of every model on a sphere, an organ and the --surface given",
         "?",
@@ -19,9 +21,7 @@ ARGUMENTS = (
     *STUDY_READS,
     option("--out", type=place, metavar="DIR", help="directory (default results/bench)"),
 )
-
-
-def run(options: argparse.Namespace) -> int:
+def run_benchmark(options: argparse.Namespace) -> int:
     """Measure the study, or a sphere, an organ and the surface that is given, with every model."""
     from .. import bench
     from ..models import benched_names
@@ -73,3 +73,51 @@ def bodies_to_measure(study: str | None, surface: Path | None) -> dict[str, tupl
     if surface is not None:
         bodies[surface.name if surface.stem in bodies else surface.stem] = ("accuracy-organ", surface)
     return bodies
+
+
+@verb(
+    "claims",
+    "put the paper's claims on trial over three bodies, two meshes and two materials, in some minutes",
+    option("numbers", type=int, nargs="*", metavar="N", help="these claims alone, row by row"),
+    option(
+        "--from",
+        dest="points",
+        type=Path,
+        metavar="FILE",
+        help="judge what was measured before, in place of measuring",
+    ),
+    option(
+        "--out",
+        type=place,
+        metavar="FILE",
+        help="write what was measured as CSV, a line a row and case",
+    ),
+    option("--cache", type=place, metavar="DIR", help="where meshes are kept"),
+)
+def try_claims(options: argparse.Namespace) -> int:
+    """Measure, or read, and print a line for each claim; of claims that are named every row."""
+    from dataclasses import asdict
+
+    from .. import claims
+
+    numbers = sorted(set(options.numbers))
+    if strange := [number for number in numbers if not 1 <= number <= len(claims.DATA["claims"])]:
+        raise UsageError(f"there is no claim {strange[0]}; they are 1 to {len(claims.DATA['claims'])}")
+    if options.points:
+        points = claims.read_points(options.points)
+    else:
+        points = claims.measure(options.cache or cache_directory(), numbers, tell)
+    if options.out:
+        claims.write_points(points, options.out)
+    rows = [row for row in claims.judge(points) if not numbers or row.claim in numbers]
+    if options.json:
+        return print_json({"claims": [asdict(row) for row in rows]})
+    if not numbers:
+        print_table(claims.table_of_claims(rows))
+        return OK
+    for number in numbers:
+        print(f"\n{claims.title(number)}")
+        for line in claims.told(number):
+            print(folded(line, "  "))
+        print_table(claims.table_of(number, rows))
+    return OK
