@@ -98,17 +98,16 @@ def example_measurement() -> Measurement:
 
 
 def example_inputs() -> InputSpread:
-    """Two inputs, of which Sobol's indices were asked."""
-    parts, indices = np.full(2, np.nan), {"S1": np.array([0.9, 0.1]), "ST": np.array([0.91, np.nan])}
+    """Two inputs, sampled."""
     return InputSpread(
-        "sobol",
+        "sampling",
         256,
         ["tissue.poisson_ratio", "tissue.youngs_modulus"],
         ["1", "Pa"],
         np.array([0.45, 5e3]),
         np.array([0.01, 300.0]),
         {
-            "vdm-paper": ModelSpread(0.07, 0.08, parts, np.nan, indices),
+            "vdm-paper": ModelSpread(0.07, 0.08, np.full(2, np.nan), np.nan),
             "fem:direct": ModelSpread(0.06, np.nan, np.array([0.01, 0.06]), 0.02),
         },
     )

@@ -7,9 +7,8 @@ samples: their standard deviation, whatever the answer does.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,9 +17,8 @@ from solver_common.arrays import Array
 from ..body.surface_measures import Surface, weighted_norm, without_motions
 from ..study.registry import REFINED
 from ..study.schema import Study
-from ..study.sweep import SENSITIVITIES, SOBOL, Input, inputs_of, salib, unit_cube
+from ..study.sweep import SENSITIVITIES, Input, inputs_of
 
-INDICES = {"S1": "first order", "ST": "total"}  # what SALib calls Sobol's indices -> what they are
 _NOTHING = 1e-6  # share of the displacement: less is what solvers leave open
 STRAIGHT = 0.2  # `ModelSpread.bend` up to which first order will do: it moves the deviation by a fiftieth
 
@@ -36,14 +34,12 @@ class ModelSpread:
     parts : (K,) share of `displacement` by each input alone; NaN where only samples tell
     bend : most by which an answer is off the line between those at an input's ends, over `displacement`; NaN
         likewise
-    indices : name -> (K,) of the norm of the displacement; see `INDICES`
     """
 
     displacement: float
     deformation: float
     parts: Array
     bend: float
-    indices: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -82,19 +78,6 @@ class Propagation:
         """(K, ...) standard deviation of each number through one input alone, with its sign."""
         pairs = zip(self.inputs, answers[0::2], answers[1::2], strict=False)
         return np.stack([one.weight * (high - low) / 2.0 for one, low, high in pairs])
-
-    def indices(self, sizes: Array) -> dict[str, Array]:
-        """Sobol's indices (K,) of one number at each variation; none where its method asks for none."""
-        if self.table.method != SOBOL:
-            return {}
-        count = len(self.inputs)
-        if not np.isfinite(sizes).all() or not np.ptp(sizes):
-            return {name: np.full(count, np.nan) for name in INDICES}
-        analyze, seed = salib("analyze.sobol").analyze, self.table.seed or 0
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of an input that does nothing
-            found = analyze(unit_cube(count), sizes, calc_second_order=False, seed=seed)
-        return {name: np.asarray(found[name], dtype=float) for name in INDICES}
 
 
 Answers = Callable[[str], Sequence[Array]]  # model -> its V answers at full load (N, 3)
@@ -152,5 +135,4 @@ def _model_spread(
     else:
         total = share(rule.deviation(fields), own)
         deformation = share(rule.deviation([shape(values) for values in fields]), shape(own))
-    sizes = np.array([weighted_norm(values, areas) for values in fields])
-    return ModelSpread(total, deformation, parts, bend, rule.indices(sizes))
+    return ModelSpread(total, deformation, parts, bend)

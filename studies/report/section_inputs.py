@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from ..measures.case import CaseResult
-from ..measures.input_spread import INDICES, STRAIGHT, InputSpread
+from ..measures.input_spread import STRAIGHT, InputSpread
 from ..measures.metrics import VECTOR
 from ..verdict.digest import Digest
 from ..verdict.formatting import input_name, listed, percent, plural, swept_value
@@ -20,8 +20,6 @@ _READING = (
 _HOW = {
     "sensitivities": "It is from the answers with one input at a time higher and lower, so of first order.",
     "sampling": "It is the spread of the answers to random values of all inputs.",
-    "sobol": "It is the spread of the answers to Saltelli's samples; S1 and ST are Sobol's first-order and total "
-    "indices of the displacement's norm.",
 }
 
 
@@ -65,9 +63,6 @@ def _table(digest: Digest, case: CaseResult, spread: InputSpread, name: str, cap
     def part(k: int) -> Any:
         return lambda model: float(spread.models[model].parts[k])
 
-    def index(which: str, k: int) -> Any:
-        return lambda model: float(spread.models[model].indices.get(which, [math.nan] * (k + 1))[k])
-
     def error(model: str) -> Cell:
         value = digest.at(case, model, VECTOR)
         lost = math.isfinite(value) and value < spread.models[model].displacement
@@ -78,7 +73,6 @@ def _table(digest: Digest, case: CaseResult, spread: InputSpread, name: str, cap
         value, deviation = float(spread.values[k]), float(f"{spread.deviations[k]:.3g}")
         known = f"{swept_value(value, unit)} ± {swept_value(deviation, unit)}"
         fields.append(Field(input_name(key), part(k), "1", known))
-        fields += [Field(input_name(key), index(which, k), "#", which) for which in INDICES]
     fields += [
         Field("All inputs", lambda model: spread.models[model].displacement, "1", "of the displacement"),
         Field("All inputs", lambda model: spread.models[model].deformation, "1", "of the change of shape"),

@@ -433,14 +433,13 @@ class Inputs(Table):
 
     model_config = ConfigDict(extra="allow")
 
-    method: Literal["sensitivities", "sampling", "sobol"] = Field(
+    method: Literal["sensitivities", "sampling"] = Field(
         "sensitivities",
-        description="how that goes into the answers: two variations of each key; random samples of all; Sobol's "
-        "indices by SALib",
+        description="how that goes into the answers: two variations of each key, or random samples of all",
     )
     samples: int | None = Field(
         None,
-        description="sampling: variations of a case (64); sobol: of them, times the number of keys and 2 (64)",
+        description="sampling: variations of a case (64)",
         ge=4,
         le=10_000,
     )

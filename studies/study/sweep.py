@@ -7,7 +7,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
@@ -465,8 +464,7 @@ def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Ta
 # --- The studies with other values of the inputs that tell what comes of not knowing them ---
 
 
-SENSITIVITIES, SAMPLING, SOBOL = "sensitivities", "sampling", "sobol"
-INSTALL = "pip install --constraint constraints.txt --editable '.[sensitivity]'"
+SENSITIVITIES = "sensitivities"
 _SAMPLES = 64
 _MOST = 2000  # variations of a case
 # what no variation has: it decides nothing of an answer, or would begin anew
@@ -481,32 +479,13 @@ class Variation:
     study: Study
 
 
-def unit_cube(keys: int) -> dict[str, Any]:
-    """What SALib calls a problem: so many numbers from 0 to 1."""
-    names = [f"x{k}" for k in range(keys)]
-    return {"num_vars": keys, "names": names, "bounds": [[0.0, 1.0]] * keys}
-
-
-def salib(module: str) -> Any:
-    """A module of SALib. Raises ImportError, whose message has the command that installs it."""
-    try:
-        return import_module(f"SALib.{module}")
-    except ImportError:
-        raise ImportError(f"Sobol's indices need SALib, which is not installed: {INSTALL}") from None
-
-
 def _varied_values(inputs: Sequence[Input], table: Inputs) -> list[dict[str, float]]:
-    """The values of each variation: per key the lower and the upper, or the samples. Raises ImportError."""
+    """The values of each variation: per key the lower and the upper, or the samples."""
     if table.method == SENSITIVITIES:
         return [{one.key: end} for one in inputs for end in one.ends]
-    keys, number, seed = len(inputs), table.samples or _SAMPLES, table.seed or 0
-    if table.method == SAMPLING:
-        from scipy.stats import qmc
+    from scipy.stats import qmc
 
-        shares = qmc.LatinHypercube(keys, rng=seed).random(number)
-    else:
-        sobol = salib("sample.sobol").sample
-        shares = sobol(unit_cube(keys), number, calc_second_order=False, seed=seed)
+    shares = qmc.LatinHypercube(len(inputs), rng=table.seed or 0).random(table.samples or _SAMPLES)
     return [{one.key: one.at(float(share)) for one, share in zip(inputs, row, strict=True)} for row in shares]
 
 
@@ -518,19 +497,15 @@ def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
     inputs, findings = read_inputs(data)
     if findings:
         return [], findings
-    keys, number = len(inputs), study.inputs.samples or _SAMPLES
-    count = {SENSITIVITIES: 2 * keys, SAMPLING: number, SOBOL: number * (keys + 2)}[study.inputs.method]
+    by_ends = study.inputs.method == SENSITIVITIES
+    count = 2 * len(inputs) if by_ends else study.inputs.samples or _SAMPLES
     if count > _MOST:
         text = f"makes {count:,} variations of each case, more than the {_MOST:,} allowed; take fewer samples"
         return [], [(("inputs",), text)]
-    try:
-        values = _varied_values(inputs, study.inputs)
-    except ImportError as error:
-        return [], [(("inputs", "method"), str(error))]
     locs = {one.key: one.loc for one in inputs}
     rest = {key: value for key, value in data.items() if key not in _NOT_VARIED}
     found: list[Variation] = []
-    for changed in values:
+    for changed in _varied_values(inputs, study.inputs):
         varied = rest
         for key, value in changed.items():
             varied = substituted(varied, locs[key], value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import importlib.util
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from tests.report.runs import make_case, make_run
 from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, planned_work, run, scene_of
 from vdmbench import models
 from vdmbench.body.surface_measures import Surface, weighted_norm
-from vdmbench.measures.input_spread import InputSpread, ModelSpread, Propagation, input_spread
+from vdmbench.measures.input_spread import InputSpread, ModelSpread, Propagation
 from vdmbench.measures.measurement import hold_against
 from vdmbench.measures.pushed import Answer
 from vdmbench.study.config import Study, load_study, resolved
@@ -34,7 +33,6 @@ __all__ = ["cache", "meshes"]
 
 E, NU, FORCE = "tissue.youngs_modulus", "tissue.poisson_ratio", "constraints.finger.force"
 KNOWN: dict[str, Any] = {E: {"sd": 500.0}, NU: {"range": [0.45, 0.49]}, FORCE: {"sd": 0.002}}
-HAS_SALIB = importlib.util.find_spec("SALib") is not None
 
 
 def plan(directory: Path, cache: Path, inputs: Any = KNOWN, **changes: Any) -> Plan:
@@ -131,32 +129,6 @@ def test_samples_spread_as_their_inputs_do(tmp_path: Path, cache: Path) -> None:
         assert_allclose(spread.displacement, np.std(forces, ddof=1) / 0.1, rtol=1e-6)
         assert_allclose(spread.displacement, 0.02, rtol=0.05)
         assert np.isnan(spread.parts).all()
-
-
-def unit_sphere() -> Surface:
-    mesh = ball()
-    return Surface(mesh.points, mesh.triangles)
-
-
-def of_product(study: Study, surface: Surface) -> InputSpread:
-    """The spread of u0 * E / 5000 * (F / 0.1)^2, by the study's own variations."""
-    u0 = surface.points * [0.0, 0.0, 1.0]
-    fields = [
-        u0 * v.values.get(E, 5000.0) / 5000.0 * (v.values.get(FORCE, 0.1) / 0.1) ** 2
-        for v in variations(study)[0]
-    ]
-    return input_spread(study, surface, {"m": u0}, lambda _: fields)
-
-
-@pytest.mark.skipif(not HAS_SALIB, reason="SALib is not installed")
-def test_indices_of_a_product() -> None:
-    """Of E F^2 the force's small share counts twice: the first-order indices are those of 0.05 and 2 * 0.02."""
-    inputs = {E: {"sd": 250.0}, FORCE: {"sd": 0.002}}
-    sobol = of_product(study_of({"method": "sobol", "samples": 256, **inputs}), unit_sphere()).models["m"]
-    expected = np.array([0.04**2, 0.05**2]) / (0.04**2 + 0.05**2)
-    assert_allclose(sobol.indices["S1"], expected, atol=0.1)
-    assert_allclose(sobol.indices["ST"], expected, atol=0.1)
-    assert_allclose(sobol.displacement, np.hypot(0.04, 0.05), rtol=0.1)
 
 
 # --- what is made of it ---
