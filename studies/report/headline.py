@@ -20,8 +20,8 @@ from ..verdict.formatting import (
     plural,
     quantity,
 )
-from ..verdict.verdict import Limit, Verdict, Verdicts, verdicts
-from ..verdict.words import TITLES, said, to_do, told, why_not
+from ..verdict.verdict import Limit, Verdicts, verdicts
+from ..verdict.words import TITLES, said, told, why_not
 from .blocks import Cell, Field, Section, Table, Text, frame_table, spread_cell
 from .section_cases import stopped_models
 from .section_cost import time_notes
@@ -62,7 +62,7 @@ def what_to_take(verdicts: Verdicts) -> Table | None:
 
 
 def against_limits(verdicts: Verdicts, digest: Digest) -> Table | None:
-    """The models that decide: each limit in the worst case, up to which load it holds, why not, what to do."""
+    """The models that decide: each limit in the worst case, up to which load it holds, why not."""
     judged = [one for one in verdicts.asked if one.model]
     if not judged:
         return None
@@ -82,7 +82,7 @@ def against_limits(verdicts: Verdicts, digest: Digest) -> Table | None:
             for one in limits
         ),
         Field("Up to which load", lambda one: capital(" ".join(said("reached", one)))),
-        Field("Why not, and what to do", lambda one: _why(one, verdicts)),
+        Field("Why not", lambda one: " ".join(map(capital, why_not(one)))),
     ]
     return frame_table(judged, fields, "acceptance", mark=lambda one: digest.colour(one.model), tools=False)
 
@@ -100,10 +100,6 @@ def _limit(limit: Limit) -> Cell:
     told = [f"{count} of {cases} {what}" for count, what in counts if count and count < cases]
     about = "\n".join([*told, *([limit.case] if limit.case else [])])
     return Cell(f"{measure(limit.value, limit.unit)}{bar}", about, limit.value, TONES.get(limit.word, ""))
-
-
-def _why(one: Verdict, verdicts: Verdicts) -> str:
-    return " ".join(capital(text) for text in [*why_not(one), to_do(one, verdicts)] if text)
 
 
 # --- every model ---

@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
-from ..measures.pushed import Answer, Pushed
+from ..measures.pushed import Answer
 from ..verdict.digest import Digest
 from ..verdict.formatting import quantity, scale_of
-from ..verdict.loading import kind_of, name_of, weighs
+from ..verdict.loading import name_of, pushes
 from .blocks import Block, Figure, Figures, Section, Text
 from .plots import Curve, lines
 
@@ -62,7 +62,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
             place = f"{push.name}, {title}" if push.name else title
             figures.append(_drawing(digest, case, push, place, f"f{len(figures)}"))
             notes[push.note] = None
-            if weighs(case):
+            if case.study.gravity is not None and any(case.study.gravity.acceleration):
                 notes[_WEIGHT_NOTE] = None
     if not figures:
         return None
@@ -72,17 +72,13 @@ def force_against_indentation(digest: Digest) -> Section | None:
 
 def _pushes(digest: Digest, case: CaseResult) -> Iterator[Push]:
     """Where a case is pushed, with the models whose curve is known."""
-    for constraint in case.study.constraints:
-        kind, mask = kind_of(constraint), case.regions[constraint.region]
-        if kind not in _KINDS or not mask.any():
-            continue
-        pushed = Pushed(case.study, constraint, mask, digest.surfaces[case.hash], case.load_factors)
+    for pushed in pushes(case, digest.surfaces[case.hash]):
         curves = {model: pushed.curve(Answer.of(result)) for model, result in case.models.items()}
         known = {m: curve for m, curve in curves.items() if np.isfinite(curve).all(axis=0).any()}
-        length, load, note = _KINDS[kind]
+        length, load, note = _KINDS[pushed.constraint.kind]
         load = "contact pressure" if pushed.unit == "Pa" else load
         if known:
-            yield Push(name_of(constraint), length, load, pushed.unit, note, known)
+            yield Push(name_of(pushed.constraint), length, load, pushed.unit, note, known)
 
 
 def _drawing(digest: Digest, case: CaseResult, push: Push, place: str, salt: str) -> Figure:

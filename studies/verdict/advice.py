@@ -1,4 +1,4 @@
-"""What to take: with the answer of a family, and for each kind of interaction, with the figures of this study."""
+"""What to take instead, for each kind of interaction, with the figures of this study."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..study.registry import Family, family_of, is_surface, model_names, split
-from .acceptance import FRAME_TIME, UNDECIDED, WITHIN, YES
+from ..study.registry import Family, is_surface
+from .acceptance import FRAME_TIME, WITHIN
 from .digest import Digest
-from .why_not import LINEAR_ELEMENTS, MESH, MODEL, REFERENCE, SMALL_STRAIN, TIME, Reason
+from .why_not import LINEAR_ELEMENTS
 
 LINEAR, CONDENSED = LINEAR_ELEMENTS[:2]
 RESTING, MOVING, CUTTING, EXACT = (
@@ -54,61 +54,6 @@ class Advice:
     def model(self) -> str:
         """The first, "" where none was measured."""
         return self.take[0].model if self.take else ""
-
-
-@dataclass(frozen=True)
-class NextStep:
-    """What to do with the answer of a family: `kind` tells the templates which sentence it is."""
-
-    kind: str
-    take: Figures | None = None
-    name: str = ""
-
-
-# --- the next step ---
-
-
-def next_step(digest: Digest, model: str, word: str, why: Sequence[Reason]) -> NextStep:
-    """What to do with this answer, by its first cause that something can be done about."""
-    if word == YES:
-        better = _better(digest, model)
-        return NextStep("better", figures(digest, better)) if better else NextStep("take it")
-    causes = {reason.cause: reason for reason in why}
-    if word == UNDECIDED and REFERENCE in causes:
-        return NextStep("levels")
-    if MODEL not in causes or not _breaks(digest, causes[MODEL]):  # else it is off whatever else changes
-        if SMALL_STRAIN in causes:
-            return _nonlinear(digest, model)
-        if MESH in causes:
-            return NextStep("finer mesh")
-    others = [name for name in digest.compared if name != model and _within(digest, name)]
-    if others:
-        quick = min(others, key=lambda name: digest.costs[name].frame)
-        return NextStep("another", figures(digest, quick))
-    return NextStep("coarser mesh") if causes.keys() == {TIME} else NextStep("elements")
-
-
-def _breaks(digest: Digest, reason: Reason) -> bool:
-    """Whether a cause alone is beyond a limit."""
-    return any(reason.numbers.get(c.key, 0.0) > c.allowed for c in digest.criteria)
-
-
-def _nonlinear(digest: Digest, model: str) -> NextStep:
-    """Where small strain has ended: the solver that follows large displacements, if it is no worse."""
-    partner = f"{split(model)[0]}:nonlinear"
-    if partner in digest.compared:
-        closer = digest.shares(partner).max(initial=0.0) < digest.shares(model).max(initial=0.0)
-        return NextStep("take nonlinear", figures(digest, partner)) if closer else NextStep("lower load")
-    known = partner in model_names() and partner not in digest.models
-    return NextStep("try nonlinear", name=partner) if known else NextStep("lower load")
-
-
-def _better(digest: Digest, model: str) -> str | None:
-    """A model of another family that is closer and faster per frame, in every case."""
-    others = [name for name in digest.compared if family_of(name) is not family_of(model)]
-    closer = [n for n in others if digest.shares(n).max(initial=0.0) < digest.shares(model).max(initial=0.0)]
-    better = [name for name in closer if digest.costs[name].frame < digest.costs[model].frame]
-    return _closest(digest, better) if better else None
 
 
 # --- by the kind of interaction ---
@@ -180,7 +125,3 @@ def _closest(digest: Digest, names: Iterable[str]) -> str:
 def _answered(digest: Digest, names: Iterable[str]) -> list[str]:
     """Models with an answer at full load in more than half of the cases."""
     return [name for name in names if math.isfinite(digest.usual_share(name))]
-
-
-def _within(digest: Digest, name: str) -> bool:
-    return bool((digest.standing(name) == WITHIN).all())

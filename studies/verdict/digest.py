@@ -358,7 +358,7 @@ class Digest:
     @cached_property
     def known_loads(self) -> KnownLoads:
         """The loads of all steps of all cases."""
-        return known_loads(self.cases, {key: surface.normals for key, surface in self.surfaces.items()})
+        return known_loads(self.cases, [self.surfaces[case.hash] for case in self.cases])
 
     @cached_property
     def outside(self) -> tuple[Outside, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 
 from solver_common.arrays import Array
 
+from ..body.surface_measures import Surface
 from ..measures.case import CaseResult
-from ..measures.pushed import along_movement, inward, resultant
+from ..measures.pushed import Answer, Pushed
 from ..study.loads import Constraint
 from .acceptance import BEYOND, OPEN, WITHIN, States
 
 _SAME = 1e-9  # of a load: the difference of two that are one
-
-
-def weighs(case: CaseResult) -> bool:
-    return case.study.gravity is not None and bool(np.any(case.study.gravity.acceleration))
 
 
 def name_of(constraint: Constraint) -> str:
@@ -29,131 +26,27 @@ def name_of(constraint: Constraint) -> str:
 
 def kind_of(constraint: Constraint) -> str:
     """Its kind; what is moved by nothing is held."""
-    held = constraint.kind == "constrained" and not np.any(_prescribed(constraint))
+    held = constraint.kind == "constrained" and not np.any(constraint.displacement or 0.0)
     return "fixed" if held else constraint.kind
-
-
-def moved(case: CaseResult) -> dict[str, Constraint]:
-    """Constraints that move their region: name -> constraint."""
-    return {name_of(c): c for c in case.study.constraints if kind_of(c) == "constrained"}
-
-
-def _prescribed(constraint: Constraint) -> Array:
-    """(3,) displacement at load factor 1 [m], zero where none is given."""
-    return np.array(constraint.displacement or (0.0, 0.0, 0.0), dtype=np.float64)
 
 
 def supports(case: CaseResult) -> NDArray[np.bool_]:
     """(N,) nodes that a support holds or moves."""
-    return _nodes_of(case, "fixed", "constrained")
-
-
-def _nodes_of(case: CaseResult, *kinds: str) -> NDArray[np.bool_]:
-    """(N,) nodes of the regions of all constraints of these kinds."""
     mask = np.zeros(len(case.points), dtype=bool)
     for constraint in case.study.constraints:
-        if constraint.kind in kinds:
+        if constraint.kind in ("fixed", "constrained"):
             mask |= case.regions[constraint.region]
     return mask
 
 
-def _contacts(case: CaseResult) -> list[Constraint]:
-    return [c for c in case.study.constraints if c.kind == "contact"]
-
-
-def contact_resultant(case: CaseResult) -> float | None:
-    """Force of a case's only contact at load factor 1 [N]; None where the stored inputs do not tell.
-
-    Given as `force`, or the integral of a uniform pressure over the facets whose three nodes are in its region.
-    """
-    if len(contacts := _contacts(case)) != 1:
-        return None
-    (contact,) = contacts
-    if contact.force is not None:
-        return float(contact.force)
-    if contact.pressure is None or contact.profile != "uniform":
-        return None
-    return resultant(contact.pressure, case.regions[contact.region], case.points, case.triangles)
-
-
-def contact_pressure(case: CaseResult) -> float | None:
-    """Pressure of a case's only contact at load factor 1 [Pa], whatever its profile; None where none is given."""
-    contacts = _contacts(case)
-    return contacts[0].pressure if len(contacts) == 1 else None
-
-
-def indentation(case: CaseResult, models: Iterable[str], normals: Array) -> dict[str, Array]:
-    """Model -> (S,) displacement along the normal, inwards, of the node in contact that it moves farthest [m].
-
-    Negative where the contact pulls. Of all nodes where no contact is stored.
-
-    Parameters
-    ----------
-    normals : (N, 3) outward unit normals of the undeformed surface
-    """
-    mask = _nodes_of(case, "contact", "indenter")
-    nodes = np.flatnonzero(mask if mask.any() else ~mask)
-    return {model: inward(case.models[model].displacement, nodes, normals) for model in models}
-
-
-def movement_force(case: CaseResult, model: str, name: str) -> tuple[Array, Array]:
-    """(S,) prescribed displacement [m] of a region and (S,) force along it [N] that holds the region there.
-
-    The force is the sum of the reactions of the region's nodes, projected on the direction of the displacement.
-
-    Raises
-    ------
-    KeyError
-        no constraint of this name moves its region.
-    """
-    constraint = moved(case)[name]
-    prescribed = _prescribed(constraint)
-    length = float(np.linalg.norm(prescribed))
-    mask = case.regions[constraint.region]
-    force = along_movement(prescribed, case.models[model].reaction_force, mask)
-    return case.load_factors * length, force
-
-
-def load_unit(case: CaseResult) -> str:
-    """Unit of a case's load: of its only contact, or of what moves its only moved region; "" of none."""
-    if contact_resultant(case) is not None or _carried(case) is not None:
-        return "N"
-    if contact_pressure(case) is not None:
-        return "Pa"
-    return "N" if len(moved(case)) == 1 and not _contacts(case) and case.reference in case.models else ""
-
-
-def loads_of(case: CaseResult, unit: str) -> Array:
-    """(S,) the load of each step in `load_unit`; its share of the largest for "1"."""
-    if unit == "1":
-        return case.load_factors / max(np.abs(case.load_factors).max(), np.finfo(float).tiny)
-    if (resultant := contact_resultant(case)) is not None:
-        return case.load_factors * resultant
-    if (pressure := contact_pressure(case)) is not None:
-        carried = _carried(case)
-        return case.load_factors * pressure if unit == "Pa" or carried is None else carried
-    (name,) = moved(case)
-    return movement_force(case, str(case.reference), name)[1]
-
-
-def _carried(case: CaseResult) -> Array | None:
-    """(S,) what the supports of the reference carry of a pressure on the only contact [N]; None where more acts."""
-    result = case.models.get(str(case.reference))
-    held = supports(case)
-    if contact_pressure(case) is None or weighs(case) or moved(case) or result is None or not held.any():
-        return None
-    forces = np.linalg.norm(result.reaction_force[:, held].sum(axis=1), axis=1)
-    return forces if np.isfinite(forces).all() and forces.max() > 0.0 else None
-
-
-def depths_of(case: CaseResult, normals: Array) -> Array:
-    """(S,) how far the reference is pushed in, pulled out (negative) or moved [m]; NaN where it is not."""
-    if case.reference is None or case.reference not in case.models:
-        return np.full(len(case.load_factors), math.nan)
-    if _contacts(case):
-        return indentation(case, [case.reference], normals)[case.reference]
-    lengths = [movement_force(case, case.reference, name)[0] for name in moved(case)]
-    return np.max(lengths, axis=0) if lengths else np.full(len(case.load_factors), math.nan)
+def pushes(case: CaseResult, surface: Surface) -> list[Pushed]:
+    """What pushes or moves a body: its contacts, indenters and moved regions."""
+    return [
+        Pushed(case.study, constraint, mask, surface, case.load_factors)
+        for constraint in case.study.constraints
+        if kind_of(constraint) in ("contact", "indenter", "constrained")
+        and (mask := case.regions[constraint.region]).any()
+    ]
 
 
 # --- up to which load ---
@@ -200,20 +93,26 @@ class KnownLoads:
     steps: NDArray[np.int64]
 
 
-def known_loads(cases: Sequence[CaseResult], normals: Mapping[str, Array]) -> KnownLoads:
-    """Of a share of the full load, "1", where cases do not tell it in the same unit.
+def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> KnownLoads:
+    """The loads of each case's only contact, else of the one thing that pushes it, as its reference answers.
 
-    Parameters
-    ----------
-    normals : hash of each case -> (N, 3) outward unit normals of its undeformed surface
+    They are shares of the full load, "1", where the cases do not tell them in one unit.
     """
-    units = {load_unit(case) for case in cases}
-    unit = units.pop() or "1" if len(units) == 1 else "1"
+    units, curves = set(), []
+    for case, surface in zip(cases, surfaces, strict=True):
+        every, reference = pushes(case, surface), case.models.get(str(case.reference))
+        chosen = [one for one in every if one.constraint.kind == "contact"] or every
+        alone = len(chosen) == 1 and reference is not None
+        units.add(chosen[0].unit if alone else "1")
+        nothing = np.full(len(case.load_factors), math.nan)
+        curves.append(chosen[0].curve(Answer.of(reference)) if alone and reference else (nothing, nothing))
+    unit = units.pop() if len(units) == 1 else "1"
     rows = []
-    for k, case in enumerate(cases):
-        loads, depths = np.abs(loads_of(case, unit)), depths_of(case, normals[case.hash])
-        loaded = (case.load_factors != 0.0) & np.isfinite(loads) & (loads > 0.0)
-        rows += [(loads[step], depths[step], k, step) for step in np.flatnonzero(loaded)]
+    for k, (case, (depths, loads)) in enumerate(zip(cases, curves, strict=True)):
+        sizes = np.abs(case.load_factors)
+        told = sizes / max(sizes.max(), np.finfo(float).tiny) if unit == "1" else np.abs(loads)
+        steps = np.flatnonzero((sizes > 0.0) & (told > 0.0) & np.isfinite(told))
+        rows += [(told[step], depths[step], k, step) for step in steps]
     loads, depths, numbers, steps = np.array(rows or np.zeros((0, 4))).T
     return KnownLoads(unit, loads, depths, numbers.astype(int), steps.astype(int))
 

@@ -20,15 +20,13 @@ from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.warnings import scene_warnings
 from ..study.registry import FINITE_STRAIN, SURFACE, Family, family_of, split
 from .acceptance import BEYOND, LOST, NOT_ASKED, NOT_JUDGED, OPEN, WITHIN, WORD, Criterion, States, word_of
-from .advice import Advice, NextStep, by_interaction, next_step
+from .advice import Advice, by_interaction
 from .digest import NORMAL, Digest, Outside, Unreached, failed_steps, median_known
-from .formatting import parameter_name, swept_value
 from .ladders import reading
 from .loading import UpTo, up_to
 from .why_not import Reason, reasons
 
 _WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these that a model has
-_MOST_VALUES = 4
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")
 
 
@@ -97,11 +95,9 @@ class Verdict:
     frame : what a frame takes [s], NaN where not known
     judged, within, undecided, beyond, unanswered : cases
     worst : name of the judged case that is furthest off by `lead`, "" where there is one only
-    tells : the values of one swept parameter that only cases not within have, "" where none tells them
     limits : one entry a limit
     same : whether it has the reference's own numbers to rounding on the same mesh, which tells nothing of accuracy
     why_not : causes, of what is not within
-    advice : what to do with this answer
     up_to : the load up to which every judged case is within; None where the loads are not known
     states : hash of each case -> its word
     """
@@ -118,11 +114,9 @@ class Verdict:
     beyond: int = 0
     unanswered: int = 0
     worst: str = ""
-    tells: str = ""
     limits: tuple[Limit, ...] = ()
     same: bool = False
     why_not: tuple[Reason, ...] = ()
-    advice: NextStep | None = None
     up_to: UpTo | None = None
     states: dict[str, str] = field(default_factory=dict)
 
@@ -324,13 +318,12 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
     """The verdict of a family over the cases in range."""
     model = digest.deciding(family)
     states, lead = digest.standing(model), _lead(digest, model)
-    word, why = word_of(states.tolist()), reasons(digest, model)
     sizes = digest.full_loads(model, lead.metric if lead is not None else VECTOR)
     worst = digest.cases[int(np.argmax(np.nan_to_num(sizes, nan=-1.0)))]
     judged = {case.hash: WORD[state] for case, state in zip(digest.cases, states.tolist(), strict=True)}
     return Verdict(
         family=family.value,
-        word=word,
+        word=word_of(states.tolist()),
         models=digest.families[family],
         model=model,
         lead=lead,
@@ -338,11 +331,9 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
         judged=len(states),
         **_counts(states),
         worst=digest.case_name(worst) if len(unjudged) > 1 else "",
-        tells=_what_tells(digest, states),
         limits=tuple(_limit(digest, model, one) for one in digest.criteria),
         same=digest.same_as_reference(model),
-        why_not=why,
-        advice=next_step(digest, model, word, why),
+        why_not=reasons(digest, model),
         up_to=up_to(digest.known_loads, digest.worst_states(model, of_load=True)),
         states={**unjudged, **judged},
     )
@@ -383,23 +374,6 @@ def _limit(digest: Digest, model: str, one: Criterion) -> Limit:
         case=digest.case_name(digest.cases[worst]) if worst is not None and len(states) > 1 else "",
         **_counts(asked),
     )
-
-
-def _what_tells(digest: Digest, states: States) -> str:
-    """The swept parameter whose value alone tells the cases within the limits from the others: those not within."""
-    for key in digest.swept_keys:
-        values = [case.swept.get(key) for case in digest.cases]
-        within = {v for v, state in zip(values, states, strict=True) if state == WITHIN}
-        others = {v for v, state in zip(values, states, strict=True) if state != WITHIN}
-        if within and others and not within & others and None not in within | others:
-            shown = [
-                swept_value(v, digest.unit(key))
-                for v in dict.fromkeys(values)
-                if v in others and v is not None
-            ]
-            if len(shown) <= _MOST_VALUES:
-                return f"{parameter_name(key)} {' or '.join(shown)}"
-    return ""
 
 
 # --- what speaks against it ---

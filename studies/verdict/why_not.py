@@ -17,7 +17,6 @@ from ..measures.case import CaseResult
 from ..study.registry import FINITE_STRAIN, is_linear, split
 from .acceptance import BEYOND, LOST, OPEN, WITHIN, Criterion
 from .digest import Digest, failed_steps
-from .loading import load_unit, loads_of
 
 MODEL, LEFT_OUT, SMALL_STRAIN, MESH = "model", "left out", "small strain", "mesh"
 COMPRESSIBILITY = "compressibility"
@@ -108,8 +107,9 @@ class Shortfall:
     @cached_property
     def load(self) -> dict[str, Any]:
         """The load of the small step and its unit."""
-        unit = load_unit(self.case) or "1"
-        return {"load": abs(float(loads_of(self.case, unit)[self.small_step or 0])), "unit": unit}
+        known = self.digest.known_loads
+        found = known.loads[(known.cases == self.place) & (known.steps == (self.small_step or 0))]
+        return {"load": float(found[0]) if len(found) else math.nan, "unit": known.unit}
 
 
 # --- the causes ---

@@ -24,13 +24,12 @@ TITLES = {
     Family.ENGINES: "Engines",
 }
 WHY = "Why not?"
-DO = "What to do?"
 MEASURED = "What does the measurement say?"
 INPUTS = "Is the error larger than what is not known of the inputs?"
 LOAD = "Up to which load?"
 SURE = "How sure is this?"
-BESIDE = (WHY, DO, LOAD)  # what the page has in the table of limits
-ON_TERMINAL = (WHY, DO, MEASURED, INPUTS, LOAD)
+BESIDE = (WHY, LOAD)  # what the page has in the table of limits
+ON_TERMINAL = (WHY, MEASURED, INPUTS, LOAD)
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,6 @@ def told(verdicts: Verdicts) -> Told:
     loads = [f"{one.model}: {text}" for one in judged for text in said("reached", one)]
     found = [
         Answer(WHY, [f"{one.model}: {text}" for one in judged for text in why_not(one)]),
-        Answer(DO, [f"{one.model}: {text}" for one in judged if (text := to_do(one, verdicts))]),
         Answer(MEASURED, said("measured", verdicts)),
         Answer(INPUTS, said("inputs", verdicts.inputs)),
         Answer(LOAD, [*loads, *said("small_strain", verdicts)]),
@@ -92,11 +90,6 @@ def _row(one: Verdict, verdicts: Verdicts) -> Row:
 def why_not(one: Verdict) -> list[str]:
     """The causes of what is not within."""
     return [text for reason in one.why_not for text in said("why", reason)]
-
-
-def to_do(one: Verdict, verdicts: Verdicts) -> str:
-    """What to do with the answer; "" where its model is to be taken."""
-    return " ".join(said("todo", one.advice, verdicts)) if one.advice is not None else ""
 
 
 def said(macro: str, *about: Any) -> list[str]:

@@ -7,43 +7,42 @@ import math
 import re
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 
 from tests.example_case import asked
 from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run
 from vdmbench.measures.case import CaseResult
+from vdmbench.measures.pushed import Answer
 from vdmbench.report.blocks import Figures, Section, Text
 from vdmbench.report.section_force import force_against_indentation
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.loading import contact_pressure, contact_resultant, indentation, movement_force
+from vdmbench.verdict.loading import pushes
 
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
 
 
-def test_contact_resultant_from_a_force_or_a_uniform_pressure() -> None:
-    assert contact_resultant(make_case({"m": 0.1}, contact={"force": 0.4}, subdivisions=1)) == 0.4
+def curve(case: CaseResult, model: str = REFERENCE) -> tuple[np.ndarray, np.ndarray]:
+    """(S,) depths and loads of what pushes the case, as a model answers."""
+    (pushed,) = pushes(case, Digest(make_run([case])).surfaces[case.hash])
+    return pushed.curve(Answer.of(case.models[model]))
+
+
+def test_a_uniform_pressure_is_told_as_its_resultant() -> None:
+    assert curve(make_case({"m": 0.1}, contact={"force": 0.4}, subdivisions=1))[1][-1] == 0.4
     case = make_case({"m": 0.1}, contact={"force": None, "pressure": 300.0}, subdivisions=3)
     loaded = case.regions["finger"][case.triangles].all(axis=1)
     a, b, c = (case.points[case.triangles[loaded, k]] for k in range(3))
     expected = 300.0 * np.linalg.norm(0.5 * np.cross(b - a, c - a).sum(axis=0))
-    found = contact_resultant(case)
-    assert found is not None
+    found = curve(case)[1][-1]
     assert_allclose(found, expected, rtol=RTOL, atol=ATOL)
     assert (
         0.2 < found < 300.0 * math.pi * (0.05 * math.sin(math.radians(25))) ** 2
     )  # below pressure x whole cap
 
 
-@pytest.mark.parametrize(
-    "contact", [{"force": None, "pressure": 300.0, "profile": "hertz"}, {"kind": "fixed"}]
-)
-def test_contact_resultant_is_unknown_where_the_inputs_do_not_tell(contact: dict[str, object]) -> None:
-    assert contact_resultant(make_case({"m": 0.1}, contact=contact, subdivisions=1)) is None
-
-
-def depths(case: CaseResult) -> dict[str, np.ndarray]:
-    return indentation(case, case.models, Digest(make_run([case])).surfaces[case.hash].normals)
+def test_what_is_held_does_not_push() -> None:
+    case = make_case({"m": 0.1}, contact={"kind": "fixed"}, subdivisions=1)
+    assert pushes(case, Digest(make_run([case])).surfaces[case.hash]) == []
 
 
 def test_indentation_is_the_deepest_node_of_the_contact() -> None:
@@ -51,9 +50,9 @@ def test_indentation_is_the_deepest_node_of_the_contact() -> None:
     # no node of this ball sits on the pole: the deepest is the nearest one, pushed in by P_2 of its angle
     top = case.points[:, 2].max() / np.linalg.norm(case.points[0])
     depth = AMPLITUDE * (1.5 * top**2 - 0.5)
-    found = depths(case)
-    assert_allclose(found[REFERENCE], [0.5 * depth, depth], rtol=2e-3, atol=ATOL)  # facet normals
-    assert_allclose(found["m"], 1.5 * found[REFERENCE], rtol=RTOL, atol=ATOL)
+    found = curve(case)[0]
+    assert_allclose(found, [0.5 * depth, depth], rtol=2e-3, atol=ATOL)  # facet normals
+    assert_allclose(curve(case, "m")[0], 1.5 * found, rtol=RTOL, atol=ATOL)
 
 
 def moved_case(displacement: object = (0.0, 0.003, 0.004), **how: object) -> CaseResult:
@@ -71,10 +70,10 @@ def moved_case(displacement: object = (0.0, 0.003, 0.004), **how: object) -> Cas
 
 def test_force_of_a_movement_is_the_reaction_along_it() -> None:
     case = moved_case(steps=(0.5, 1.0))
-    length, force = movement_force(case, "m", "tool")
+    length, force = curve(case, "m")
     assert_allclose(length, [0.0025, 0.005], rtol=RTOL, atol=ATOL)
     assert_allclose(force, [0.4, 0.8], rtol=RTOL, atol=ATOL)  # 1 N along z, projected on (0, 3, 4) / 5
-    assert_allclose(movement_force(case, REFERENCE, "tool")[1], [0.8, 1.6], rtol=RTOL, atol=ATOL)
+    assert_allclose(curve(case)[1], [0.8, 1.6], rtol=RTOL, atol=ATOL)
 
 
 def force_section(*cases: CaseResult) -> Section:
@@ -114,7 +113,6 @@ def test_a_pressure_of_unknown_resultant_is_drawn_as_a_pressure() -> None:
     case = make_case(
         {"m": 0.5}, contact={"force": None, "pressure": 300.0, "profile": "hertz"}, subdivisions=3
     )
-    assert contact_pressure(case) == 300.0
     ((title, text),) = figures_of(force_section(case))
     assert title == "finger, the only case"
     assert text == (

@@ -152,17 +152,6 @@ def test_a_sweep_is_judged_where_its_reference_is_in_range() -> None:
     assert finite.word == "yes", "finite strain has no such bound"
 
 
-def test_a_value_that_only_cases_not_within_have_is_told() -> None:
-    errors = {(0.3, 1.0): 0.2, (0.3, 2.0): 0.3, (0.49, 1.0): 0.05, (0.49, 2.0): 0.06}
-    cases = [
-        make_case({MODEL: e}, label=f"{a} {b}", swept={"tissue.poisson_ratio": a, "b": b}, subdivisions=0)
-        for (a, b), e in errors.items()
-    ]
-    found = verdict(make_run(cases))
-    assert found.tells == "Poisson ratio 0.3"
-    assert list(found.states.values()) == ["no", "no", "yes", "yes"]
-
-
 def test_the_references_own_numbers_on_its_mesh_are_no_praise() -> None:
     run = swept({"fem-condensed": 1e-11, "bem": 0.02})
     found = verdicts(Digest(run))
