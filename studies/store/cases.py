@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -182,9 +182,9 @@ def _read_case(
         name: _read_model(name, one, table, on_nodes.pop(name), frames.get(name))
         for name, one in about["models"].items()
     }
-    defined = {key: typed(MetricSeries, one, values=factors) for key, one in about["definitions"].items()}
+    defined = {key: _definition(tuple(one.items())) for key, one in about["definitions"].items()}
     metrics = {
-        name: {key: _of_values(defined[key], table[f"{name}.metrics.{key}"]) for key in keys}
+        name: {key: MetricSeries(table[f"{name}.metrics.{key}"], *defined[key]) for key in keys}
         for name, keys in about["metrics"].items()
     }
     given = {"load_factors": factors, "models": models, "metrics": metrics}
@@ -234,8 +234,11 @@ def _read_model(
     return typed(ModelResult, about, **fields, **series, scalars=scalars, frames=frames)
 
 
-def _of_values(metric: MetricSeries, values: Array) -> MetricSeries:
-    return MetricSeries(values, metric.unit, metric.definition, metric.version)
+@lru_cache
+def _definition(about: tuple[tuple[str, Any], ...]) -> tuple[str, str, int]:
+    """Unit, definition and version of a metric, alike in most cases of a run."""
+    one = typed(MetricSeries, dict(about), values=np.zeros(0))
+    return one.unit, one.definition, one.version
 
 
 # --- a run directory ---
@@ -363,8 +366,9 @@ def metrics_csv(table: DataFrame) -> str:
     shown["case"] = shown["case"].str.slice(0, 12)
     shown = shown.rename(columns={"bar": "reference_error"})
     for key in (key for key in shown if not is_numeric_dtype(shown[key])):
-        safe = {one: no_formula(one) for one in shown[key].unique() if isinstance(one, str)}
-        shown[key] = shown[key].map(lambda one, safe=safe: safe.get(one, one))
+        texts = {one: no_formula(one) for one in shown[key].unique() if isinstance(one, str)}
+        if any(one != safe for one, safe in texts.items()):
+            shown[key] = shown[key].map(lambda one, texts=texts: texts.get(one, one))
     return str(shown.rename(columns=no_formula).to_csv(index=False, lineterminator="\n"))
 
 
@@ -402,7 +406,7 @@ def _study_entries(run: Run, rows: DataFrame) -> list[Entry]:
             entries.append(Entry(f"swept/{key}", [str(value) for value in values], labels=cases))
     index = {case.hash: row for row, case in enumerate(run.cases)}
     named = {
-        (model, metric): plain(one, without=("values",))
+        (model, metric): one
         for case in run.cases
         for model, metrics in case.metrics.items()
         for metric, one in metrics.items()
@@ -411,7 +415,7 @@ def _study_entries(run: Run, rows: DataFrame) -> list[Entry]:
     for (model, metric), part in rows.groupby(["model", "metric"], sort=False):
         at, about, full = (
             part["case"].map(index).to_numpy(),
-            named[model, metric],
+            plain(named[model, metric], without=("values",)),
             part["full_load"].to_numpy(),
         )
         series, bar = np.full(shape, np.nan), np.full(shape[0], np.nan)
