@@ -311,7 +311,7 @@ def stability_rows(run: Run) -> list[list[str]]:
         a step that is called converged and is wrong: the table has no place for it.
     """
     from vdmbench.verdict.digest import Digest
-    from vdmbench.verdict.ladders import alike, ladders
+    from vdmbench.verdict.ladders import ladders
 
     with np.errstate(all="ignore"):  # of what solvers leave behind that broke down
         found = ladders(Digest(run))
@@ -323,10 +323,9 @@ def stability_rows(run: Run) -> list[list[str]]:
         if silent:
             raise RuntimeError(f"{silent[0]} is wrong in silence along {ladder.key}")
         places: dict[str, list[str]] = {}
-        for models in alike(ladder):
-            for value, reading in ladder.breakdowns(models[0]):
-                place = f"{ladder.text(value)} ({reading.code})"
-                places.setdefault(place, []).extend(f"`{model}`" for model in models)
+        for model in ladder.readings:
+            for value, reading in ladder.breakdowns(model):
+                places.setdefault(f"{ladder.text(value)} ({reading.code})", []).append(f"`{model}`")
         right = sum(not ladder.breakdowns(model) for model in ladder.readings)
         breaks = "; ".join(f"{place}: {', '.join(models)}" for place, models in places.items()) or "nowhere"
         ends = f"{ladder.text(ladder.values[0])} to {ladder.text(ladder.values[-1])}"

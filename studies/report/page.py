@@ -28,7 +28,6 @@ from .section_limits import small_strain_limits
 from .section_measurement import against_measurement
 from .section_measures import all_measures
 from .section_scene import scene
-from .section_stability import numerical_stability
 from .section_view import heading, still, surfaces
 
 
@@ -51,7 +50,6 @@ AFTER: tuple[Make, ...] = (
     inputs,
     against_measurement,
     force_against_indentation,
-    numerical_stability,
     small_strain_limits,
     run_time_against_error,
     all_measures,

@@ -22,12 +22,11 @@ SINGLE_RESIDUAL = 1e-3  # the same where 32 bits were asked for: they leave 1e-4
 DIFFERENT = 1e-3  # of the largest displacement; more is another answer than the trusted solver's
 BEYOND_LINEAR = 0.05  # of the volume, which linear terms keep and the displacement that they give does not
 LEFT = 1e-3  # of the largest displacement, left after all loads are taken away
-MEASURES = ("residual", "condition", "difference", "drift", "left")
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One model in one case: the worst of its load history.
+    """What one model made of one case, over all its load history.
 
     Attributes
     ----------
@@ -36,24 +35,17 @@ class Reading:
         of second order in the step that no status of one step can tell; or "beyond-linear": a linear answer, right
         as such, at a load that its assumptions do not reach
     message, remedy : what happened and what to change
-    residual, condition : largest relative residual and condition estimate of any step, NaN where not stored
-    difference : from the trusted solver of the same system, over its largest displacement; NaN without one
-    drift : largest change of volume, over the volume
     left : displacement after the last load is taken away, over the largest; NaN where it is not
     """
 
     code: str
-    message: str
-    remedy: str
-    residual: float
-    condition: float
-    difference: float
-    drift: float
-    left: float
+    message: str = ""
+    remedy: str = ""
+    left: float = math.nan
 
     @property
     def ok(self) -> bool:
-        """Whether every step is right as far as the measures tell."""
+        """Whether every step is right as far as can be told."""
         return self.code == "converged"
 
     @property
@@ -145,45 +137,26 @@ def reading(case: CaseResult, model: str) -> Reading | None:
     result = case.models.get(model)
     if result is None:
         return None
-    drift = series(case, model, "volume_drift")
-    values = {
-        "residual": _largest(result.scalars.get("relative_residual")),
-        "condition": _largest(result.scalars.get("condition_estimate")),
-        "difference": _difference(case, model),
-        "drift": _largest(drift),
-        "left": _left(case, result),
-    }
-    failed = failed_steps(result)
-    if failed:
+    if failed := failed_steps(result):
         status = result.status[failed[0]]
         where = f" at load factor {case.load_factors[failed[0]]:.3g}" if len(result.status) > 1 else ""
-        return Reading(status.code, f"{status.message}{where}", status.remedy, **values)
-    if model.endswith(":quasi-linear") and values["left"] > LEFT:
-        message = (
-            f"the volume lags a step behind: {values['left']:.1e} of the displacement stays without load"
-        )
-        return Reading("step-too-long", message, "take smaller load steps, or the nonlinear solver", **values)
-    for name, (most, sentence) in _TESTS.items():
-        if name == "residual" and model.endswith(":single"):
-            most = SINGLE_RESIDUAL
-        if values[name] > most:
-            other = trusted(case, model) or ""
-            message = sentence.format(values[name], other=other)
-            return Reading("wrong", message, "compare with another solver", **values)
-    second = _second_order(case, model)
-    if second > BEYOND_LINEAR:
-        message = (
-            f"the load is beyond small displacements: second order is {short_percent(second)} of the volume"
-        )
-        return Reading("beyond-linear", message, "take a smaller load or a nonlinear solver", **values)
-    return Reading("converged", "", "", **values)
-
-
-_TESTS: dict[str, tuple[float, str]] = {
-    "residual": (RESIDUAL, "called converged with a relative residual of {:.1e}"),
-    "difference": (DIFFERENT, "called converged and {:.1e} away from {other}"),
-    "left": (LEFT, "called converged and {:.1e} of the displacement stays without load"),
-}
+        return Reading(status.code, f"{status.message}{where}", status.remedy)
+    code, message, remedy, left = "converged", "", "", _left(case, result)
+    residual = _largest(result.scalars.get("relative_residual"))
+    if model.endswith(":quasi-linear") and left > LEFT:
+        code, remedy = "step-too-long", "take smaller load steps, or the nonlinear solver"
+        message = f"the volume lags a step behind: {left:.1e} of the displacement stays without load"
+    elif residual > (SINGLE_RESIDUAL if model.endswith(":single") else RESIDUAL):
+        code, message = "wrong", f"called converged with a relative residual of {residual:.1e}"
+    elif (difference := _difference(case, model)) > DIFFERENT:
+        code, message = "wrong", f"called converged and {difference:.1e} away from {trusted(case, model)}"
+    elif left > LEFT:
+        code, message = "wrong", f"called converged and {left:.1e} of the displacement stays without load"
+    elif (second := _second_order(case, model)) > BEYOND_LINEAR:
+        code, remedy = "beyond-linear", "take a smaller load or a nonlinear solver"
+        told = f"second order is {short_percent(second)} of the volume"
+        message = f"the load is beyond small displacements: {told}"
+    return Reading(code, message, remedy, left)
 
 
 def _largest(values: Array | None) -> float:
@@ -220,22 +193,3 @@ def _left(case: CaseResult, result: ModelResult) -> float:
     if len(factors) < 2 or factors[-1] != 0.0 or not np.any(factors) or not largest > 0.0:
         return math.nan
     return float(np.linalg.norm(u[-1], axis=1).max()) / largest
-
-
-def alike(ladder: Ladder) -> list[list[str]]:
-    """The models of a ladder, those that come out the same together, in the order of the first of each."""
-    groups: dict[object, list[str]] = {}
-    for model, readings in ladder.readings.items():
-        if any(reading is not None for reading in readings):
-            groups.setdefault(_outcome(ladder, model), []).append(model)
-    return list(groups.values())
-
-
-def _outcome(ladder: Ladder, model: str) -> tuple[object, ...]:
-    """Where a model is right and what it says where it is not; its figures may differ."""
-    sides = [(value, r.code, _without_digits(r.message), r.remedy) for value, r in ladder.breakdowns(model)]
-    return (ladder.sound_range(model), *sides)
-
-
-def _without_digits(message: str) -> str:
-    return "".join(c for c in message if not c.isdigit())

@@ -7,13 +7,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from tests.report.runs import make_case, make_run
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.measures.metrics import History, evaluate
-from vdmbench.report.section_stability import numerical_stability
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.ladders import Ladder, ladders, reading, trusted
 
@@ -75,19 +73,19 @@ def test_a_breakdown_is_beside_the_range_that_is_right(found: dict[str, Ladder])
     assert ladder.sound_range(DIRECT) == (0, 2)
     assert ladder.breakdowns(DIRECT) == []
     [(value, stopped)] = ladder.breakdowns(NONLINEAR)
-    assert (value, stopped.code, stopped.remedy) == (1e4, "diverged", "take smaller load steps")
+    assert (value, stopped.code) == (1e4, "diverged")
     assert stopped.message == "the volume could not be held at load factor 0.5"
     assert not stopped.silent
     [(value, wrong)] = ladder.breakdowns(LU)
     assert (value, wrong.code, wrong.silent) == (1e6, "wrong", True)
-    assert_allclose(wrong.difference, 0.01, rtol=1e-12, atol=0)
+    assert wrong.message == "called converged and 1.0e-02 away from vdm-paper"
     # on both sides of the base
     assert found[NU].sound_range(DIRECT) == (1, 2)
     assert [(value, r.code) for value, r in found[NU].breakdowns(DIRECT)] == [
         (0.3, "wrong"),
         (0.5, "diverged"),
     ]
-    assert found[NU].breakdowns(DIRECT)[0][1].residual == 1e-5
+    assert "residual of 1.0e-05" in found[NU].breakdowns(DIRECT)[0][1].message
 
 
 @pytest.mark.parametrize(("residual", "silent"), [(9e-4, False), (1.1e-3, True)])
@@ -109,7 +107,6 @@ def test_what_is_left_without_load_counts(scale: float) -> None:
     models = {NONLINEAR: dataclasses.replace(result, displacement=u)}
     read = reading(dataclasses.replace(there_and_back, models=models), NONLINEAR)
     assert read is not None
-    assert_allclose(read.left, scale, rtol=1e-12, atol=0)
     assert read.silent == (scale > 1e-3)
 
 
@@ -131,11 +128,7 @@ def test_a_quasi_linear_step_that_is_too_long_is_told_from_a_wrong_number() -> N
     one = dataclasses.replace(there_and_back, models={quasi: dataclasses.replace(result, displacement=u)})
     read = reading(dataclasses.replace(one, metrics={}), quasi)
     assert read is not None
-    assert (read.code, read.silent, read.remedy) == (
-        "step-too-long",
-        False,
-        "take smaller load steps, or the nonlinear solver",
-    )
+    assert (read.code, read.silent) == ("step-too-long", False)
     assert "1.0e-02 of the displacement stays" in read.message
 
 
@@ -159,22 +152,8 @@ def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> No
     else:  # 12.8 %
         assert (direct.code, direct.silent) == ("beyond-linear", False)
         assert "second order is 13 % of the volume" in direct.message
-        assert direct.remedy == "take a smaller load or a nonlinear solver"
         scalars = {"relative_residual": np.full(1, 1e-3)}
         unsolved = dataclasses.replace(results[DIRECT], scalars=scalars)
         read = reading(dataclasses.replace(grew, models={DIRECT: unsolved}), DIRECT)
         assert read is not None
         assert read.code == "wrong", "a load that is too large excuses no residual"
-
-
-def test_the_page_has_a_table_of_breakdowns_and_names_what_is_wrong_in_silence() -> None:
-    section = numerical_stability(Digest(make_run(star(), sweep="one-at-a-time")))
-    assert section is not None
-    first, table, _ = section.blocks
-    assert "vdm-paper at Poisson ratio 0.3 and vdm-paper:lu at slivers 1e+06" in first.text
-    rows = [[cell.text for cell in row] for row in table.rows]
-    assert ["slivers", NONLINEAR, "100 to 100", "10000", "diverged", "take smaller load steps"] in rows
-    assert ["slivers", DIRECT, "100 to 1e+06", "nowhere", "–", "–"] in rows
-    assert [row[3] for row in rows if row[:2] == ["Poisson ratio", DIRECT]] == ["0.3", "0.5"]
-    assert numerical_stability(Digest(make_run(star()))) is None
-    assert numerical_stability(Digest(make_run(star(), claims=[9]))) is not None
