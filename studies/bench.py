@@ -1,6 +1,6 @@
 """Run time against error: every model on the same meshes, measured in turns inside one process.
 
-In: studies. Out: what every model takes and how far it is off on several mesh sizes, as JSON and as a page.
+In: studies. Out: what every model takes and how far it is off on several mesh sizes, as JSON and as tables.
 
 In a round every model is set up anew and answers the same two loads: pressure on the study's contact region, and
 one over the whole free surface. Rounds are repeated, so that what else the machine does weighs on all models, and
@@ -13,13 +13,12 @@ import dataclasses
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from markupsafe import Markup
 from threadpoolctl import threadpool_info
 
 from solver_common.arrays import Array
@@ -33,16 +32,12 @@ from .measures.metrics import DEFORMATION, VECTOR, History, evaluate
 from .measures.reference import FailedReferenceError, level_scene, own_error, require_converged, restricted
 from .measures.uncertainty import is_resolved
 from .models.frames import FACTORS, Round, in_turns
-from .report.blocks import Cell, Column, Facts, Figure, Figures, Section, Table, Text
-from .report.document import encoded, html_document
-from .report.plots import Plot, colour, draw, marker, percent_axis, time_ticks
 from .scene.scene import Scene, build_scene
 from .store.plain import typed
 from .study.config import expand, with_mesh_size
 from .study.errors import InputError
 from .study.schema import Study
-from .verdict import palette
-from .verdict.formatting import NOTHING, listed, quantity, scale_of, short_percent
+from .verdict.formatting import NOTHING, quantity, scale_of
 from .work.provenance import provenance
 
 # --- what was measured ---
@@ -124,18 +119,6 @@ def spread(values: Array) -> tuple[float, float]:
     known = values[np.isfinite(values)]
     first, third = np.quantile(known, (0.25, 0.75)).tolist() if known.size else (math.nan, math.nan)
     return first, third
-
-
-def deviation(bench: Bench) -> tuple[float, float]:
-    """Interquartile range of the times of rounds over their median: in the median of all times, and at most."""
-    off = [
-        (third - first) / median(values)
-        for e in bench.entries
-        for values in (e.setup, e.frame_all, e.frame_local, e.recut)
-        for first, third in [spread(values)]
-        if np.isfinite(values).all() and median(values) > 0.0
-    ]
-    return (float(np.median(off)), max(off)) if off else (math.nan, math.nan)
 
 
 _COSTS: dict[str, Callable[[Entry], float]] = {
@@ -228,16 +211,6 @@ def _answer(sure: Sequence[str], perhaps: Sequence[str]) -> str:
     if perhaps:
         parts.append(f"undecided: {', '.join(perhaps)}")
     return "; ".join(parts) or "none"
-
-
-def pareto(entries: Iterable[Entry]) -> list[Entry]:
-    """Those that no other beats in both error and time per local frame, the fastest first."""
-    front: list[Entry] = []
-    usable = (e for e in entries if math.isfinite(e.error) and math.isfinite(median(e.frame_local)))
-    for entry in sorted(usable, key=lambda e: (median(e.frame_local), e.error)):
-        if not front or entry.error < front[-1].error:
-            front.append(entry)
-    return front
 
 
 def seconds(value: float) -> str:
@@ -480,106 +453,13 @@ def read_bench(path: Path) -> Bench:
         raise ValueError(f"{path}: not a benchmark's file ({error}); run vdmbench bench again") from error
 
 
-# --- the page ---
+# --- what stands beside the tables ---
 
 ERROR_NOTE = (
     "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from "
     "linear elements on the refined mesh, ± that reference's own; ~ where this is more than a tenth."
 )
-NOTE = (
-    f"{ERROR_NOTE} "
-    "Times are medians [first, third quartile] over rounds in which all models take turns; in each, a frame below "
-    "20 ms is a median of five samples. Ratios are to fem-linear in the same round. Frame, contact: displacement "
-    "and fluid pressure in single precision by the columns of the contact nodes, one each, where the model is "
-    "linear in the load; the product is the same for all of them. Columns: what these take once per contact. "
-    "Re-cut: from a changed mesh to its first answer, without columns and without meshing."
-)
-
-
-def write_bench_page(bench: Bench, path: Path) -> None:
-    """Write the page; the same benchmark gives the same bytes.
-
-    Raises
-    ------
-    OSError
-        disk full or read-only.
-    """
-    write_atomically(path, encoded(bench_html(bench)))
-
-
-def bench_html(bench: Bench) -> str:
-    """The page as text."""
-    numbers = palette.places(e.model for e in bench.entries)
-    legend = [(numbers[name], name, False) for name in dict.fromkeys(e.model for e in bench.entries)]
-    figures = [
-        Figure(pareto_plot(bench.on(mesh), numbers, f"p{k}"), f"{mesh[0]}, {mesh[1]:,} nodes")
-        for k, mesh in enumerate(bench.meshes())
-    ]
-    told = answers(bench)
-    question, lead = told[0]["question"], {mesh: a for mesh, a in told[0].items() if mesh != "question"}
-    sections = [
-        Section("answers", "Which model", [Text(ANSWERS_NOTE, kind="note"), _answers(told)]),
-        Section(
-            "pareto", "Run time against error", [Text(FIGURE_NOTE, kind="note"), Figures(figures, legend)]
-        ),
-        Section("table", "Costs", [Text(NOTE, kind="note"), _table(bench, numbers)]),
-    ]
-    sections.append(Section("machine", "Machine", [Facts(list(bench.machine.items()))]))
-    return html_document(
-        title="Run time against error",
-        name="bench",
-        notes=[question, *(f"{mesh}: {answer}." for mesh, answer in lead.items())],
-        counts=[(f"{len(bench.entries)} measurements", "")],
-        models=legend,
-        sections=sections,
-    )
-
-
 ANSWERS_NOTE = (
     "On the finest mesh of each body. Undecided: the reference's own error, ±, leaves open whether an error is "
     "within the limit, or which of two is the smaller."
 )
-FIGURE_NOTE = (
-    "Further left is faster, lower is closer. Filled: one frame of a contact. Hollow, at the end of the dotted "
-    "line: a re-cut. The grey line joins what no other model beats in both error and frame."
-)
-
-
-def pareto_plot(entries: Sequence[Entry], numbers: dict[str, int], salt: str) -> Markup:
-    """Frame and re-cut time against the error of the models on one mesh."""
-    usable = [e for e in entries if math.isfinite(e.error) and median(e.frame_local) > 0.0]
-    plot = Plot("time", "displacement error", salt)
-    with plot as axes:
-        front = pareto(usable)
-        axes.plot(
-            [median(e.frame_local) for e in front], [e.error for e in front], color="0.7", linewidth=1.0
-        )
-        for e in usable:
-            k, frame, recut = numbers[e.model], median(e.frame_local), median(e.recut)
-            axes.plot(list(spread(e.frame_local)), [e.error] * 2, color=colour(k), linewidth=1.0)
-            axes.plot([frame, recut], [e.error] * 2, ":", color=colour(k), linewidth=1.0)
-            axes.plot([recut], [e.error], marker=marker(k), color=colour(k), markerfacecolor="none")
-            draw(axes, k, e.model, [frame], [e.error], markersize=6.5, linestyle="none")
-        time_ticks(axes)
-        percent_axis(axes, [e.error for e in usable])
-    told = [f"{e.model} {seconds(median(e.frame_local))} at {short_percent(e.error)}" for e in usable]
-    return plot.drawn(f"Run time against displacement error: {listed(told)}.")
-
-
-def _answers(told: Sequence[dict[str, str]]) -> Table:
-    columns = [Column("" if title == "question" else title, numeric=False) for title in told[0]]
-    return Table("answers", "", columns, [[Cell(text) for text in row.values()] for row in told])
-
-
-def _table(bench: Bench, numbers: dict[str, int]) -> Table:
-    shown = rows(bench)
-    columns = [Column(title, numeric=k > 2) for k, title in enumerate(shown[0])] if shown else []
-    values = {"error": "error", "memory": "peak_bytes"}
-    cells = [
-        [
-            Cell(text, value=getattr(e, values[title]) if title in values else None)
-            for title, text in row.items()
-        ]
-        for e, row in zip(bench.entries, shown, strict=True)
-    ]
-    return Table("bench", "", columns, cells, [numbers[e.model] for e in bench.entries], open_rows=200)

@@ -44,7 +44,6 @@ def run_benchmark(options: argparse.Namespace) -> int:
         watch=tell,
     )
     bench.write_bench(out / "bench.json", found)
-    bench.write_bench_page(found, out / "bench.html")
     if options.json:
         return print_json(
             {
@@ -58,7 +57,7 @@ def run_benchmark(options: argparse.Namespace) -> int:
     print(bench.ERROR_NOTE)
     print_table(bench.answers(found))
     print(bench.ANSWERS_NOTE)
-    print(f"report: {out / 'bench.html'}")
+    print(f"figures: {out / 'bench.json'}")
     return OK
 
 

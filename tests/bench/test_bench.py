@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,17 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 from vdmbench import bench
 from vdmbench.bench import (
     Bench,
     Entry,
     answers,
-    bench_html,
-    deviation,
     median,
-    pareto,
     rows,
     spread,
 )
@@ -56,12 +51,6 @@ def entry(model: str, recut: float, frame: float, error: float, **changes: Any) 
 VECTOR = entry("vdm-vector", 0.01, 1e-3, 0.2)
 CONDENSED = entry("fem-condensed", 1.01, 5e-4, 0.03)
 LINEAR = entry("fem-linear", 0.1, 0.05, 0.03)
-
-
-def test_the_front_leaves_out_what_is_beaten_in_both() -> None:
-    beaten = entry("beaten", 0.01, 2e-3, 0.3)
-    failed = entry("failed", 0.01, 1e-9, math.nan)
-    assert [e.model for e in pareto([LINEAR, beaten, VECTOR, failed])] == ["vdm-vector", "fem-linear"]
 
 
 def test_answers_name_the_winners() -> None:
@@ -137,8 +126,6 @@ def test_what_the_reference_leaves_open_is_undecided() -> None:
         found["Fastest re-cut at an error of at most 10 %"]
         == "fem-linear, 100 ms; undecided: vdm-vector, bem"
     )
-    page = re.sub("<[^>]*>", "", bench_html(Bench({}, [linear, boundary, vector, spring, slow])))
-    assert "ball, 100 nodes: fem-linear, 100 µs; undecided: bem, vdm-vector." in page.replace("\u00a0", " ")
     assert told(boundary, spring)[fastest] == "undecided: bem", "none is surely within"
     assert told(spring)[fastest] == "none"
 
@@ -181,10 +168,8 @@ def test_memory_has_the_unit_that_suits_it() -> None:
 def test_how_far_rounds_are_off_their_median() -> None:
     """By the middle half of them: one round in which the machine did something else weighs nothing."""
     even, uneven = np.array([2.0, 2.0, 2.0, 2.0, 1e4]), np.array([2.0, 4.0, 5.0, 6.0, 1e4])
-    measured = replace(VECTOR, setup=even, frame_all=even * np.nan, frame_local=even, recut=uneven)
     assert spread(uneven) == (4.0, 6.0)
     assert all(math.isnan(part) for part in spread(even * np.nan))
-    assert_allclose(deviation(Bench({}, [measured])), (0.0, 0.4), rtol=1e-12, atol=1e-15)
 
 
 class Clock:

@@ -46,7 +46,7 @@ def test_figures_are_what_was_accepted_and_the_file_keeps_them(tmp_path: Path) -
     read = bench.read_bench(tmp_path / "bench.json")
     assert machine_independent(read) == figures
     assert read.machine == found.machine
-    assert bench.bench_html(read) == bench.bench_html(found)
+    assert bench.rows(read) == bench.rows(found)
 
 
 def main() -> None:
