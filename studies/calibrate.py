@@ -652,7 +652,7 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> MeasuredFit:
         scene = build_scene(study.model_copy(update={"tissue": tissue}), mesh)
         linear = models.superposes(name) and scene.indenter is None
         result = Answer.of(models.run_model(scene, name), linear=linear)
-        found = hold_against(study, mesh, {}, {}, {name: result})
+        found = hold_against(study, mesh, {name: result})
         if found is None:
             raise NothingMeasuredError("the study has no [[measured]] table of its case")
         return found

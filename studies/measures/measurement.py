@@ -105,8 +105,6 @@ class Measurement:
 def hold_against(
     study: Study,
     mesh: Mesh,
-    swept: Mapping[str, float | str],
-    units: Mapping[str, str],
     results: Mapping[str, Answer],
     levels: Sequence[tuple[str, Answer]] = (),
     spread: Mapping[str, Spread] | None = None,
@@ -124,11 +122,7 @@ def hold_against(
     SceneError
         measured points that are not on the mesh.
     """
-    tables = [
-        (table, placed)
-        for table, placed in zip(measured_on(study, mesh), place_measured(study, mesh), strict=True)
-        if table.belongs_to(swept, units)
-    ]
+    tables = list(zip(measured_on(study, mesh), place_measured(study, mesh), strict=True))
     if not tables:
         return None
     factors = np.array(study.load.history)

@@ -437,8 +437,6 @@ def _check_measured(study: Study) -> Iterator[Finding]:
         yield from _check_uncertainty("uncertainty", table.uncertainty, own, loc)
         if table.forces:
             yield from _check_forces(study, table, loc)
-        if (table.swept is None) != (table.at is None):
-            yield (*loc, "swept"), "swept and at belong together: a swept key and its value"
         yield from _check_factors(study, table, place)
 
 
@@ -479,20 +477,6 @@ def _check_uncertainty(key: str, given: float | None, rows: Sequence[Any], loc: 
             f"is missing{where}: without u_D nobody can tell an error from noise; give a standard uncertainty"
         )
         yield (*loc, key), text
-
-
-def check_measured_cases(study: Study, axes: Mapping[str, tuple[Sequence[Any], str]]) -> Iterator[Finding]:
-    """Tables that belong to no case; `axes` has the values and the SI unit of each swept key."""
-    for place, table in enumerate(study.measured or ()):
-        if table.swept is None or table.at is None:
-            continue
-        if table.swept not in axes:
-            told = ", ".join(axes) or "nothing"
-            yield ("measured", place, "swept"), f"{shown(table.swept)} is not swept; swept here: {told}"
-            continue
-        values, unit = axes[table.swept]
-        if not any(table.belongs_to({table.swept: value}, {table.swept: unit}) for value in values):
-            yield ("measured", place, "at"), f"{shown(str(table.at))} is none of the values of {table.swept}"
 
 
 def _check_factors(study: Study, table: Measured, place: int) -> Iterator[Finding]:

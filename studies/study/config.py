@@ -11,7 +11,7 @@ from typing import Any
 
 import tomli_w
 
-from .checks import check_measured_cases, holds_nothing, validate
+from .checks import holds_nothing, validate
 from .errors import Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown
 from .fields import targets, value_at
 from .files import changed_keys, merged
@@ -79,7 +79,6 @@ def load_study(
     findings += _changed_in_vain(axes, changes, data)
     if study is not None:
         findings += _check_limits(base, axes, study)
-        findings += check_measured_cases(study, {a.key: (a.values, a.target.unit) for a in axes})
         findings += variations(study)[1]
     if study is None or findings:
         raise source.error(findings, base)

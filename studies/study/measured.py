@@ -279,8 +279,6 @@ class Measured(Table):
     load_factor: Plain | None = Field(
         None, description="load factor of [load] that the values belong to; the largest where left out"
     )
-    swept: str | None = Field(None, description="swept key whose value tells which cases were measured")
-    at: float | str | None = Field(None, description="that value, a number or a text with a unit")
     points: tuple[MeasuredPoint, ...] = Field(
         (), description="the points themselves, instead of a path", strict=False
     )
@@ -320,24 +318,6 @@ class Measured(Table):
         """Load factor of a point, or of the table; None for the largest."""
         own = point.load_factor if point is not None else None
         return own if own is not None else self.load_factor
-
-    def belongs_to(self, swept: Mapping[str, Any], units: Mapping[str, str]) -> bool:
-        """Whether the values were measured on the case of these swept values."""
-        if self.swept is None:
-            return True
-        if self.swept not in swept:
-            return False
-        value, unit = swept[self.swept], units.get(self.swept, "1")
-        if isinstance(value, str):
-            return value == self.at
-        return math.isclose(float(value), _quantity(self.at, unit), rel_tol=1e-9)
-
-
-def _quantity(value: float | str | None, unit: str) -> float:
-    try:
-        return to_si(value, unit)
-    except QuantityError:
-        return math.nan
 
 
 def same_load(factor: float, other: float, largest: float) -> bool:

@@ -93,7 +93,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
             study, surface, own, lambda name: [one.displacement[step] for one in varied(name)]
         )
         rules = {name: (Propagation(study), partial(varied, name)) for name in results}
-    measurement = hold_against(study, mesh, case.swept, case.swept_units, answers, of_levels, rules)
+    measurement = hold_against(study, mesh, answers, of_levels, rules)
     if measurement is not None:
         of_asked = [replace(one, step=int(asked[one.step])) for one in measurement.quantities]
         measurement = replace(measurement, quantities=of_asked)

@@ -38,9 +38,7 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
     results = {name: result}
     if case.reference is not None:
         results[case.reference] = case.models[case.reference]
-    own = hold_against(
-        study, mesh, case.swept, case.swept_units, {name: Answer(result.displacement, result.reaction_force)}
-    )
+    own = hold_against(study, mesh, {name: Answer(result.displacement, result.reaction_force)})
     measurement = case.measurement
     if own is not None and measurement is not None:
         measurement = dataclasses.replace(

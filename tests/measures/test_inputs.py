@@ -141,7 +141,7 @@ def test_u_input_joins_the_validation_uncertainty(tmp_path: Path) -> None:
     field[:, :, 2] = -2.05e-3
     rule, fields = Propagation(study), [Answer(field * 1.05), Answer(field * 0.95)]
     found = hold_against(
-        study, ball(), {}, {}, {"a": Answer(field), "b": Answer(field)}, spread={"a": (rule, lambda: fields)}
+        study, ball(), {"a": Answer(field), "b": Answer(field)}, spread={"a": (rule, lambda: fields)}
     )
     assert found is not None
     u_input = 0.05 * 2.05e-3

@@ -15,7 +15,7 @@ from vdmbench.measures.measurement import MOST, RMS, hold_against, step_rms
 from vdmbench.measures.pushed import Answer
 from vdmbench.scene.measured_points import place_measured
 from vdmbench.scene.scene import SceneError
-from vdmbench.study.config import Study, StudyError, expand, load_study
+from vdmbench.study.config import Study, load_study
 
 STUDY = """\
 [study]
@@ -70,18 +70,6 @@ def test_a_table_is_read_in_its_units(tmp_path: Path) -> None:
     assert side.others == {}
 
 
-def test_a_table_names_the_swept_case_that_it_belongs_to(tmp_path: Path) -> None:
-    sweep = '\n[sweep]\n"tissue.youngs_modulus" = ["5 kPa", "6 kPa"]\n'
-    study = STUDY + 'swept = "tissue.youngs_modulus"\nat = "6 kPa"\n' + sweep
-    found = [
-        hold_against(case.study, ball(), case.swept, case.swept_units, {"m": Answer(np.zeros((2, 162, 3)))})
-        for case in expand(load(tmp_path, GOOD, study))
-    ]
-    assert [measurement is not None for measurement in found] == [False, True]
-    with pytest.raises(StudyError, match="none of the values of"):
-        load(tmp_path, GOOD, study.replace('at = "6 kPa"', 'at = "7 kPa"'))
-
-
 def test_check_ends_with_2_for_a_point_off_the_body(tmp_path: Path) -> None:
     load(tmp_path, GOOD.replace("top, 0, 0, 1,", "top, 0, 0, 1.2,"))
     result = vdmbench("check", "tips.toml", cwd=tmp_path)
@@ -122,7 +110,7 @@ def test_error_and_uncertainty_by_hand(tmp_path: Path) -> None:
     field[:, :, 2] = -2.05e-3
     levels = [Answer(field * factor) for factor in (1.05, 1.01, 1.0)]
     results = {"a": Answer(field * 1.05), "b": Answer(field), "none": Answer(field * np.nan)}
-    found = hold_against(study, mesh, {}, {}, results, list(zip(("a", "", "b"), levels, strict=True)))
+    found = hold_against(study, mesh, results, list(zip(("a", "", "b"), levels, strict=True)))
     assert found is not None
     assert [(q.point, q.component, q.step) for q in found.quantities] == [
         ("top", "z", 1),
@@ -159,7 +147,7 @@ def test_a_measured_surface_is_as_far_as_it_is(tmp_path: Path) -> None:
         study = load(
             tmp_path, f"deformed_x,deformed_y,deformed_z\n{rows}\n", STUDY + "uncertainty = 0.0001\n"
         )
-        found = hold_against(study, mesh, {}, {}, {"m": Answer(field), "lost": Answer(field * np.nan)})
+        found = hold_against(study, mesh, {"m": Answer(field), "lost": Answer(field * np.nan)})
         assert found is not None
         assert [q.component for q in found.quantities] == [RMS, MOST]
         assert_allclose(found.simulated["m"], outward, rtol=1e-6, atol=1e-15)
