@@ -48,20 +48,6 @@ class Results:
         return verdicts(digest_of(self.data))
 
     @cached_property
-    def headline(self) -> DataFrame:
-        """A row for each model and measure: value (median of the cases), worst, their bars, unit."""
-        import pandas as pd
-
-        from .report.headline import headline_metrics
-
-        rows = [
-            {"model": model, "measure": name, **{key: numbers.get(key) for key in _NUMBERS}}
-            for model, measures in headline_metrics(self.data).items()
-            for name, numbers in measures.items()
-        ]
-        return pd.DataFrame(rows, columns=["model", "measure", *_NUMBERS])
-
-    @cached_property
     def metrics(self) -> DataFrame:
         """The frame that page and gate read: a row for each case, model, load step and metric."""
         from .measures.frame import frame
@@ -107,9 +93,6 @@ class Results:
             f"<h4>{title}</h4>{answers}{rows.to_html(index=False, border=0)}{failed}"
             f'<p><a href="{escape(self.report.resolve().as_uri())}">report</a></p>'
         )
-
-
-_NUMBERS = ("value", "worst", "bar", "worst_bar", "unit")
 
 
 def run(
