@@ -132,7 +132,7 @@ def resolved(study: Study) -> dict[str, Any]:
 
     `Study.model_validate` takes it back. Paths are absolute.
     """
-    data: dict[str, Any] = _jsonable(_plain(study))
+    data = _plain(study, mode="json")
     if "inputs" in data:
         data["inputs"] = as_written(data)
     return data
@@ -209,20 +209,12 @@ def _loads_at_work(data: Mapping[str, Any]) -> dict[str, tuple[Loc, float]]:
 # --- plain data ---
 
 
-def _plain(study: Study) -> dict[str, Any]:
+def _plain(study: Study, **options: Any) -> dict[str, Any]:
     """The study as it could have been parsed from a file in SI units; named tables sorted by name."""
-    data = study.model_dump()
+    data = study.model_dump(**options)
     for key in ("regions", "models"):
         data[key] = dict(sorted(data[key].items()))
     return data
-
-
-def _jsonable(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _jsonable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_jsonable(item) for item in value]
-    return str(value) if isinstance(value, Path) else value
 
 
 # --- the file ---
