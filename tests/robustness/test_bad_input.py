@@ -2,7 +2,7 @@
 
 The command is called in this process, with the workers' tasks done here one after the other, so that a row takes a
 fraction of a second. A timeout, memory that runs out and a read-only directory need real processes:
-`test_command_line` and `test_memory_limit`.
+`tests/work/test_pool.py` and `test_memory_limit`.
 """
 
 from __future__ import annotations

@@ -74,24 +74,6 @@ def test_a_scene_is_told_with_file_and_line(name: str, capsys: pytest.CaptureFix
         assert int(told.split(":")[2]) in lines if told.startswith("warning") else lines == []
 
 
-def test_what_the_memory_does_not_do_is_no_study_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    write_study(Path())
-    monkeypatch.setattr("vdmbench.work.explain.machine_memory", lambda: 1_000)
-    with pytest.raises(
-        StudyError, match=r"small.toml:11: geometry.mesh_size: fem-linear on a mesh of sphere"
-    ):
-        do(parse(["check", "small.toml"]))
-
-
-def test_what_the_memory_may_not_do_is_doubted(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_study(Path())
-    monkeypatch.setattr("vdmbench.work.explain.machine_memory", lambda: 5_000_000)
-    assert do(parse(["check", "small.toml"])) == 0
-    assert "warning: small.toml:11: geometry.mesh_size: fem-linear" in capsys.readouterr().out
-
-
 def test_a_scene_is_drawn_before_anything_is_solved(capsys: pytest.CaptureFixture[str]) -> None:
     write_study(Path())
     assert do(parse(["show", "small.toml"])) == 0

@@ -126,7 +126,6 @@ def _displacements(directory: Path) -> dict[str, Any]:
 
 DAMAGE: dict[str, Callable[[Path, Path], object]] = {
     "cut": lambda path, _: path.write_bytes(path.read_bytes()[:2000]),
-    "emptied": lambda path, _: path.write_bytes(b""),
     "exchanged": lambda path, other: shutil.copy(other, path),
 }
 

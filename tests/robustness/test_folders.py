@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import meshio
+import pytest
 
 from tests.command import vdmbench, vdmbench_process, write_study
 from tests.report.runs import icosphere
@@ -24,6 +25,7 @@ def _surface(folder: Path) -> Path:
     return folder / "ball.obj"
 
 
+@pytest.mark.usefixtures("read_here")
 def test_no_stored_file_names_the_folder_of_a_surface_of_the_study(tmp_path: Path) -> None:
     surface = _surface(tmp_path / "Jane-Doe" / "scans")
     other = surface.with_name("other.obj")
@@ -48,6 +50,7 @@ def _assert_nobody_is_named(*folders: Path) -> None:
         assert b"Jane-Doe" not in path.read_bytes(), path
 
 
+@pytest.mark.usefixtures("read_here")
 def test_no_stored_file_names_a_folder_of_the_command(tmp_path: Path) -> None:
     surface = _surface(tmp_path / "Jane-Doe" / "scans")
     write_study(surface.parent, a=MODELS, b=REFERENCE)

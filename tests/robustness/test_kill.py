@@ -100,7 +100,7 @@ def test_kills_at_random_moments(undisturbed: tuple[Path, float], tmp_path: Path
     _survive(2, undisturbed, tmp_path)
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 130), (signal.SIGKILL, -signal.SIGKILL)])
 def test_nothing_outlives_its_runner(tmp_path: Path, number: signal.Signals, code: int) -> None:
     write_study(tmp_path)
     process = processes.start("run", "small.toml", cwd=tmp_path, program="endless")

@@ -8,19 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.command import SCRIPT, vdmbench, write_study
+from tests.command import SCRIPT, write_study
 
 LABEL = "größe ± λ"
 NOTICE = "vdmbench: standard output: No space left on device; what was to be shown there is incomplete\n"
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with a small study, run once; it has letters that ASCII lacks in what it prints."""
-    directory = tmp_path_factory.mktemp("finished")
-    write_study(directory, title=("A small sphere", f"{LABEL}: a small sphere"))
-    assert vdmbench("run", "small.toml", cwd=directory).returncode == 0
-    return directory
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """A directory with a small study, which has letters that ASCII lacks in what it prints."""
+    write_study(tmp_path, title=("A small sphere", f"{LABEL}: a small sphere"))
+    return tmp_path
 
 
 def _shell(
@@ -51,21 +49,21 @@ HELP, WRONG = ("--help", 0), ("check none.toml", 2)
     ],
 )
 def test_an_exit_code_does_not_depend_on_the_streams(
-    finished: Path, command: str, code: int, redirections: str
+    place: Path, command: str, code: int, redirections: str
 ) -> None:
-    result = _shell(command, redirections, finished)
+    result = _shell(command, redirections, place)
     assert result.returncode == code
     assert "Traceback" not in result.stderr
 
 
-def test_output_that_is_lost_is_told(finished: Path) -> None:
-    full = _shell("plan small.toml --json", ">/dev/full", finished)
+def test_output_that_is_lost_is_told(place: Path) -> None:
+    full = _shell("plan small.toml --json", ">/dev/full", place)
     assert (full.returncode, full.stderr) == (0, NOTICE)
-    piped = _shell("plan small.toml", "| true", finished)
+    piped = _shell("plan small.toml", "| true", place)
     assert (piped.returncode, piped.stderr) == (0, ""), "nobody wants it: that is no fault"
 
 
-def test_a_terminal_of_another_encoding_shows_what_it_can(finished: Path) -> None:
-    shown = _shell("plan small.toml", "", finished, PYTHONIOENCODING="ascii")
+def test_a_terminal_of_another_encoding_shows_what_it_can(place: Path) -> None:
+    shown = _shell("plan small.toml", "", place, PYTHONIOENCODING="ascii")
     assert (shown.returncode, shown.stderr) == (0, "")
     assert "gr\\xf6\\xdfe \\xb1 \\u03bb" in shown.stdout

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -179,69 +177,6 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path: Path) -> None:
 )
 def test_a_file_that_cannot_be_parsed_is_told(path: Path, content: bytes | str, message: str) -> None:
     assert fails(path, content).startswith(message)
-
-
-@pytest.mark.parametrize(
-    ("table", "line"),
-    [
-        ("", "unknown_{} = 1"),
-        ("[sweep]", '"tissue.unknown_{}" = [1]'),
-        ("[regions.many]\nany = [", '"unknown_{}",'),
-    ],
-)
-def test_of_many_mistakes_the_first_twenty_are_told(
-    path: Path, monkeypatch: pytest.MonkeyPatch, table: str, line: str
-) -> None:
-    searches = []
-    real = difflib.get_close_matches
-    monkeypatch.setattr(difflib, "get_close_matches", lambda *a, **k: searches.append(a) or real(*a, **k))
-    wrong = "\n".join(line.format(n) for n in range(20_000))
-    rest = tomli_w.dumps({key: value for key, value in BASE.items() if key not in ("sweep", "models")})
-    end = "\n]" if table.endswith("[") else ""
-    path.write_text(f"{wrong}\n{rest}" if not table else f"{rest}\n{table}\n{wrong}{end}\n")
-    error = attempt(path)
-    assert error is not None
-    *told, last = error.problems
-    first = path.read_text().splitlines().index(line.format(0)) + 1
-    assert [problem.line for problem in told] == list(range(first, first + 20))
-    assert all("unknown_" in problem.message for problem in told)
-    assert (last.line, last.key) == (first + 20, "")
-    assert last.message == "there are more problems from here on; mend the first 20 and check again"
-    assert len(searches) <= 60  # each takes a millisecond and more
-
-
-def test_a_long_dotted_key_costs_nothing(path: Path) -> None:
-    """In tomllib 20,000 parts take 1.6 GB."""
-    path.write_text("[" + "a." * 20_000 + "a]")
-    tracemalloc.start()
-    try:
-        found = attempt(path)
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert found is not None
-    assert "nested more than 64 levels deep" in found.problems[0].message
-    assert peak < 10e6
-
-
-@pytest.mark.parametrize(
-    ("load", "message"),
-    [
-        ("factors = [" + "1," * 10_001 + "]", "load.factors: must have at most 10,000 numbers, not 10,001"),
-        ("factors = [" + "1," * 400_000 + "]", "a list has more than 100,000 items; no study needs that"),
-        ("factors = [0.5, 1]\nsteps = 1000", None),
-        ("factors = [" + "1," * 11 + "]\nsteps = 1000", "load.steps: makes a load history of 11,000 steps"),
-    ],
-    ids=["10,001 factors", "400,000 factors", "2,000 steps", "11,000 steps"],
-)
-def test_a_load_history_has_an_end(path: Path, load: str, message: str | None) -> None:
-    rest = {key: value for key, value in BASE.items() if key not in ("load", "sweep")}
-    text = f"{tomli_w.dumps(rest)}\n[load]\n{load}\n"
-    if message is None:
-        path.write_text(text)
-        assert attempt(path) is None
-    else:
-        assert message in fails(path, text)
 
 
 # --- anything at all ---
