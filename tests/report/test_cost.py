@@ -9,13 +9,10 @@ import pytest
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
 from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
-from vdmbench.report.blocks import Figures
 from vdmbench.report.headline import _table, headline_metrics
-from vdmbench.report.section_cost import run_time_against_error, time_notes
+from vdmbench.report.section_cost import time_notes
 from vdmbench.scene.result import FrameTimes
 from vdmbench.verdict.digest import ELSEWHERE, ONCE, Digest
-
-MODELS = ("vdm-vector", "fem-condensed", "fem-coarse")
 
 
 def _case(processor: str, **parameters: str) -> CaseResult:
@@ -51,20 +48,6 @@ def test_times_say_when_where_and_how(case: CaseResult, marks: list[str], of_ref
     told = " ".join(time_notes(Digest(shown).costs.values()))
     assert ("another machine, compare" in told) == (ELSEWHERE in [*marks, *of_reference])
     assert ("iterative, as suits" in told) == iterative
-
-
-def test_every_model_stands_in_the_figure_with_budgets_and_limit() -> None:
-    case = make_case({model: 0.1 * (k + 1) for k, model in enumerate(MODELS)}, subdivisions=1)
-    section = run_time_against_error(Digest(make_run([case])))
-    assert section is not None
-    (figures,) = (block for block in section.blocks if isinstance(block, Figures))
-    assert len(figures.figures) == 2
-    described = ("400 µs per frame at 10 %", "800 µs per frame at 20 %", "1.20 ms per frame at 30 %")
-    for figure in figures.figures:
-        for model, told in zip(MODELS, described, strict=True):
-            assert f"{model} {told}" in str(figure.svg)
-        for line in ("accepted", "haptic device, 1 ms", "screen, 16.7 ms"):
-            assert f">{line}</text>" in str(figure.svg)
 
 
 def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:

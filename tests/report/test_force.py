@@ -9,11 +9,10 @@ import re
 import numpy as np
 from numpy.testing import assert_allclose
 
-from tests.example_case import asked
 from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.pushed import Answer
-from vdmbench.report.blocks import Figures, Section, Text
+from vdmbench.report.blocks import Figures, Section
 from vdmbench.report.section_force import force_against_indentation
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.loading import pushes
@@ -90,35 +89,6 @@ def figures_of(section: Section) -> list[tuple[str, str]]:
     return [
         (figure.title, match.group(1)) for figure, match in zip(figures.figures, told, strict=True) if match
     ]
-
-
-def test_no_curve_of_a_body_with_a_weight_is_said_to_start_at_rest() -> None:
-    case = make_case({"m": 0.1})
-    said = "The body's weight acts without load too"
-    for gravity, there in (
-        (None, False),
-        ({"acceleration": [0.0, 0.0, 0.0]}, False),
-        ({"acceleration": [0.0, 0.0, -9.81]}, True),
-    ):
-        section = force_section(asked(case, gravity=gravity))
-        notes = [block.text for block in section.blocks if isinstance(block, Text)]
-        assert any(said in note for note in notes) == there
-
-
-def test_one_load_is_no_empty_frame() -> None:
-    assert force_against_indentation(Digest(make_run([moved_case(steps=(1.0,))]))) is None
-
-
-def test_a_pressure_of_unknown_resultant_is_drawn_as_a_pressure() -> None:
-    case = make_case(
-        {"m": 0.5}, contact={"force": None, "pressure": 300.0, "profile": "hertz"}, subdivisions=3
-    )
-    ((title, text),) = figures_of(force_section(case))
-    assert title == "finger, the only case"
-    assert text == (
-        "Contact pressure against indentation, finger, the only case: "
-        "m 300 Pa at 3.00 mm and fem-linear 300 Pa at 2.00 mm."
-    )
 
 
 def test_force_of_an_indenter_over_its_depth() -> None:

@@ -56,11 +56,6 @@ def test_the_viewer_gets_each_point_with_what_is_known_of_it() -> None:
     assert viewed(make_case({"vdm-paper": 0.4})) == []
 
 
-def test_a_leaner_view_has_the_points_of_the_steps_that_it_keeps() -> None:
-    (only,) = viewed(measured_case(), 1)
-    assert (only["name"], only["step"]) == ("top", 0), "full load is the only step kept"
-
-
 def test_points_are_drawn_told_and_can_be_hidden(browser: Browser, tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     path.write_text(page_html(make_run([measured_case()]), stills=False))

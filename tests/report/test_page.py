@@ -8,7 +8,6 @@ import difflib
 import hashlib
 import html as html_module
 import json
-import math
 import re
 from pathlib import Path
 from typing import Any
@@ -18,11 +17,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
-from vdmbench.measures.case import Limit, ModelLimits, SmallStrainLimits
 from vdmbench.report import page as page_module
 from vdmbench.report.blocks import Figures
 from vdmbench.report.page import MOST_BYTES, page_html, write_report
-from vdmbench.report.plots import place
 from vdmbench.report.section_errors import error_against_parameters
 from vdmbench.report.section_view import payload, views
 from vdmbench.verdict.digest import Digest
@@ -85,51 +82,6 @@ def test_every_section_is_linked(html: str) -> None:
     names = re.findall(r'<section id="(\w+)"', html)
     assert len(names) > 10
     assert list(re.findall(r'<a href="#(\w+)"', html)) == names
-
-
-def test_small_strain_limits_say_what_was_found_and_what_not() -> None:
-    case = make_case({"vdm-vector": 0.08, "fem-linear": 0.02}, reference="fem")
-    vector = (
-        Limit(0.05, "found", 350.0, 0.04, 0.004, 0.3, 0.05, 0.2),
-        Limit(0.1, "beyond", 12800.0, math.nan, 0.02, 2.0),
-    )
-    linear = (
-        Limit(0.05, "found", 200.0, 0.2, 0.002, 0.08, 0.15, 0.1, 0.4),
-        Limit(0.1, "reference-stopped", 400.0, math.nan, 0.02, 2.0),
-        Limit(0.2, "unresolved", 300.0, math.nan, 0.01, 0.5),
-    )
-    limits = SmallStrainLimits(
-        "constraints.finger.pressure",
-        "Pa",
-        {"vdm-vector": ModelLimits(0.08, 0.005, vector), "fem-linear": ModelLimits(1e-5, 1e-6, linear)},
-    )
-    text = words(
-        section(page_html(make_run([dataclasses.replace(case, small_strain=limits)]), stills=False), "limits")
-    )
-    for told in (
-        "vdm-vector 8.00 % ± 0.50 % + 5 % 350 Pa ± 4.00 % 4.00 mm ± 200 µm 30.0 % ± 6.00 % unresolved",
-        "+ 10 % ≥ 12.8 kPa not reached",
-        "+ 5 % 200 Pa ± 20.0 % unresolved 2.00 mm ± 300 µm unresolved 8.00 % ± 0.80 % 40.0 %",
-        "+ 10 % to 400 Pa the reference has no solution beyond",
-        "+ 20 % 300 Pa unresolved: a finer mesh does not bear it out 10.0 mm 50.0 %",
-    ):
-        assert told in text, told
-
-
-def test_a_model_that_stopped_is_listed_once_with_where_and_why() -> None:
-    cases = [
-        make_case(
-            {"a": 0.1, "b": 0.2}, label=f"k = {k}", swept={"k": float(k)}, stopped={"b": 2}, subdivisions=0
-        )
-        for k in range(3)
-    ]
-    html = page_html(make_run(cases), stills=False)
-    where = (
-        "b k = 0, load factor 0.75, and in 2 other cases the volume could not be held take smaller load steps"
-    )
-    assert where in words(section(html, "failures")).replace("\u00a0", " ")
-    assert words(section(html, "cases")).count("failed") == 6  # both errors of b, three cases
-    assert "incomplete in 3 cases" in words(section(html, "headline")).replace("\u00a0", " ")
 
 
 # --- partial and odd runs ---
@@ -263,23 +215,6 @@ def test_a_failed_step_is_a_message_to_the_viewer() -> None:
     assert steps[1:] == [{"message": "the volume could not be held"}] * 3
 
 
-def test_views_get_leaner_and_say_so() -> None:
-    cases = [
-        make_case(
-            {"a": e, "b": e + 0.5},
-            label=str(e),
-            swept={"k": e},
-            steps=np.linspace(0.1, 1, 10),
-            subdivisions=0,
-        )
-        for e in (0.1, 0.2, 0.3)
-    ]
-    digest = Digest(make_run(cases))
-    sizes = [len(json.dumps(payload(view, digest))) for view in views(digest)]
-    assert sizes == sorted(set(sizes), reverse=True)
-    assert all(view.leaves_out for view in views(digest)[1:])
-
-
 def test_a_surface_too_large_for_the_page_is_left_to_other_tools(monkeypatch: pytest.MonkeyPatch) -> None:
     run = make_run([make_case({"m": 0.1}, subdivisions=3)])
     whole = len(page_html(run, stills=False).encode())
@@ -290,25 +225,6 @@ def test_a_surface_too_large_for_the_page_is_left_to_other_tools(monkeypatch: py
 
 
 # --- axes ---
-
-
-@pytest.mark.parametrize(
-    ("values", "kind"),
-    [
-        ([1.0, 2.0, 3.0, 4.0], "linear"),
-        ([0.45, 0.49, 0.499], "linear"),
-        ([50.0, 100.0, 200.0, 400.0, 800.0, 1600.0], "log"),
-        ([1e-8, 1e-4, 1.0, 1e4], "log"),
-        ([0.3, 0.4, 0.45, 0.49, 0.499, 0.4999, 0.5], "even"),
-        ([5.0], "linear"),
-        ([-1.0, 0.0, 1000.0], "even"),
-    ],
-)
-def test_axis_keeps_neighbours_apart(values: list[float], kind: str) -> None:
-    found, positions = place(values)
-    assert found == kind
-    assert list(positions) == sorted(set(values))
-    assert sorted(positions.values()) == list(positions.values())
 
 
 def test_everything_drawn_is_told_in_words_and_every_table_can_be_taken_away(html: str) -> None:

@@ -26,20 +26,6 @@ def told(label: str, nu: float, force: float, **more: Any) -> CaseResult:
     return asked(case, **inputs)
 
 
-def test_parts_are_told_with_their_turns_and_strain() -> None:
-    case = told("a", 0.45, 0.05)
-    angles = {"rotation_of_part_1": 0.0, "rotation_of_part_2": np.pi / 6}
-    scalars = {"parts": 2.0, "part_strain": 0.12, "parts_error": 0.03, **angles}
-    at_steps = {name: np.full(len(case.load_factors), value) for name, value in scalars.items()}
-    models = {"m": dataclasses.replace(case.models["m"], scalars=at_steps)}
-    words = dict(scene_words(dataclasses.replace(case, models=models), [case]))
-    assert words["Parts"] == (
-        "m: 2 parts, turned by 0° and 30°, strained by up to 12 % within (a part follows small strain); "
-        "twice as many change the answer by 3 %"
-    )
-    assert "Parts" not in dict(scene_words(case, [case]))
-
-
 def test_a_cut_body_is_drawn_with_the_rotation_and_strain_of_each_part() -> None:
     """And nothing where no model cut it, or where the parts of the state are not those of the nodes."""
     case = told("a", 0.45, 0.05)
@@ -84,20 +70,6 @@ def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
     )
 
 
-def test_a_scan_is_said_to_be_remeshed_and_how_far_it_moved() -> None:
-    """The worst of all cases, in millimetres, beside the body; of a shape of ours nothing."""
-    scan = told("a", 0.45, 0.05, geometry={"shape": "file", "path": "/of/a/patient.obj", "mesh_size": 0.009})
-    moved = {"surface_distance_max": 3.9e-3, "surface_distance_mean": 2e-4, "volume_change": -0.015}
-    cases = [
-        dataclasses.replace(scan, mesh_quality=moved | {"facets_flipped": 400.0}),
-        dataclasses.replace(scan, mesh_quality={key: 0.5 * value for key, value in moved.items()}),
-    ]
-    words = dict(scene_words(cases[1], cases))["Scan"]
-    for part in ("3.9 mm", "0.2 mm", "1.5 %", "400 facets turned"):
-        assert part in words
-    assert "Scan" not in dict(scene_words(told("b", 0.45, 0.05), [told("b", 0.45, 0.05)]))
-
-
 @pytest.mark.parametrize(
     ("contact", "label", "down"),
     [
@@ -126,16 +98,6 @@ def test_a_moved_region_and_a_contact_all_round() -> None:
     jaw, air = parts_of(case, [case])
     assert (jaw.label, list(jaw.vector)) == ("2 mm", [0.002, 0.0, 0.0])
     assert air.vector is None, "it presses from all sides"
-
-
-def test_a_region_that_is_moved_by_nothing_is_a_support() -> None:
-    for amount, word in ((0.0, "Support"), (0.002, "Moved")):
-        jaw = {"kind": "constrained", "region": "finger", "name": "jaw", "displacement": [amount, 0.0, 0.0]}
-        case = make_case({"m": 0.1}, contact=jaw, subdivisions=3)
-        (told,) = (value for what, value in scene_words(case, [case]) if what == word and "jaw" in value)
-        assert ("2 mm, " in told) == (amount > 0.0)
-        assert "0 m," not in told
-        assert parts_of(case, [case])[1].kind == ("constrained" if amount else "fixed")
 
 
 def test_the_page_shows_the_scene_right_below_the_verdict() -> None:
