@@ -100,37 +100,12 @@ def test_metrics_csv_has_every_value_with_its_full_load_bar() -> None:
     assert {row[-1] for row in rows} == {"", "0.0125"}
 
 
-def test_cases_on_the_same_mesh_share_its_measures() -> None:
-    cases = [make_case({"m": 0.1}, label=str(k), subdivisions=k % 2) for k in range(4)]
-    turned = dataclasses.replace(cases[0], hash="turned", triangles=cases[0].triangles[:, [1, 2, 0]])
-    surfaces = Digest(make_run([*cases, turned])).surfaces
-    assert len({id(surface) for surface in surfaces.values()}) == 3
-    for case in (*cases, turned):
-        np.testing.assert_array_equal(surfaces[case.hash].points, case.points)
-        np.testing.assert_array_equal(surfaces[case.hash].triangles, case.triangles)
-    assert surfaces["turned"].smallest_extent == surfaces[cases[0].hash].smallest_extent
-
-
 def test_the_first_familys_model_is_looked_at_and_its_cases_ranked(digest: Digest) -> None:
     assert digest.focus == "vdm-paper"
     ranked = [(role, case.swept) for role, case in digest.key_cases]
     assert ranked[0] == ("worst", {"tissue.poisson_ratio": 0.4999, "constraints.finger.pressure": 800.0})
     assert ranked[1] == ("median", {"tissue.poisson_ratio": 0.45, "constraints.finger.pressure": 200.0})
     assert ranked[2] == ("best", {"tissue.poisson_ratio": 0.3, "constraints.finger.pressure": 200.0})
-
-
-def test_without_a_reference_cases_are_ranked_by_displacement() -> None:
-    cases = [
-        make_case({"m": e}, label=str(e), swept={"k": e}, reference=None, subdivisions=0)
-        for e in (0.1, 0.9, 0.4)
-    ]
-    digest = Digest(make_run(cases))
-    assert digest.compared == ()
-    assert [(role, case.label) for role, case in digest.key_cases] == [
-        ("largest", "0.9"),
-        ("median", "0.4"),
-        ("smallest", "0.1"),
-    ]
 
 
 def test_a_failed_case_is_no_key_case() -> None:

@@ -7,19 +7,11 @@ import math
 import pytest
 
 from vdmbench.verdict.formatting import (
-    listed,
-    load_in_words,
     number,
     parameter_name,
     percent,
-    plain,
-    plural,
     quantity,
-    scale_of,
     short_percent,
-    span,
-    swept_value,
-    with_bar,
 )
 
 
@@ -41,10 +33,6 @@ from vdmbench.verdict.formatting import (
 )
 def test_number(value: float, text: str) -> None:
     assert number(value) == text
-
-
-def test_plain_drops_zeros_but_no_digits() -> None:
-    assert [plain(v) for v in (0.1, 75.0, 100.0, 0.005, 1e-9)] == ["0.1", "75", "100", "0.005", "10⁻⁹"]
 
 
 def test_percent_is_the_ratio_times_a_hundred() -> None:
@@ -78,35 +66,6 @@ def test_percent_is_the_ratio_times_a_hundred() -> None:
 )
 def test_quantity_takes_the_prefix_that_fits(value: float, unit: str, text: str) -> None:
     assert quantity(value, unit) == text
-
-
-@pytest.mark.parametrize(("digits", "text"), [(1, "1 ms"), (2, "1.0 ms"), (3, "997 µs")])
-def test_the_prefix_fits_the_number_as_it_is_rounded(digits: int, text: str) -> None:
-    assert quantity(997e-6, "s", digits) == text
-
-
-def test_one_scale_for_all_values() -> None:
-    assert scale_of("Pa", [50.0, 800.0]) == (1.0, "Pa")
-    assert scale_of("Pa", [50.0, 8000.0, math.nan]) == (1e3, "kPa")
-    assert scale_of("1", [3.0]) == (1.0, "")
-    assert scale_of("m", []) == (1.0, "m")
-
-
-def test_swept_values_keep_what_tells_them_apart() -> None:
-    assert swept_value(0.4999, "1") == "0.4999"
-    assert swept_value(0.49999, "1") == "0.49999"
-    assert swept_value(800.0, "Pa") == "800 Pa"
-    assert swept_value(-0.005, "m") == "−5 mm"
-    assert swept_value("sphere", "1") == "sphere"
-
-
-def test_words() -> None:
-    assert [plural(k, "case") for k in (0, 1)] == ["0 cases", "1 case"]
-    assert [listed(text) for text in ("", "a", "abc")] == ["", "a", "a, b and c"]
-    assert with_bar(0.3971, 0.0204) == "39.7 % ± 2 %"
-    assert with_bar(0.3971, math.nan) == "39.7 %"
-    assert [span(values, "N") for values in ((0.1, 0.4), (0.1, 0.1), ())] == ["0.1 to 0.4 N", "0.1 N", ""]
-    assert load_in_words(0.51, "1") == "0.51 of the full load"
 
 
 def test_components_of_vectors_have_names() -> None:

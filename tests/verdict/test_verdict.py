@@ -18,7 +18,7 @@ from vdmbench.study.registry import family_of
 from vdmbench.verdict.acceptance import BEYOND, OPEN, WITHIN
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import Reservation, Verdict, verdicts
-from vdmbench.verdict.words import said, told
+from vdmbench.verdict.words import told
 
 MODEL = "vdm-vector"
 
@@ -152,17 +152,6 @@ def test_a_sweep_is_judged_where_its_reference_is_in_range() -> None:
     assert finite.word == "yes", "finite strain has no such bound"
 
 
-def test_the_references_own_numbers_on_its_mesh_are_no_praise() -> None:
-    run = swept({"fem-condensed": 1e-11, "bem": 0.02})
-    found = verdicts(Digest(run))
-    assert found["elements"].same
-    assert not found["surface-peers"].same
-    text = " ".join(row.text for row in told(found).rows)
-    assert "e-" not in text
-    refined = make_case({"fem-linear": 1e-11}, reference="fem-linear refined", subdivisions=0)
-    assert not verdict(make_run([refined]), "fem-linear").same
-
-
 @pytest.mark.parametrize(("bem", "fem", "taken"), [(0.02, 0.05, "bem"), (0.05, 0.02, "fem-p2")])
 def test_elements_are_not_advised_below_a_surface_model_that_is_closer(
     bem: float, fem: float, taken: str
@@ -187,13 +176,6 @@ def test_a_yes_carries_the_reservations_of_model_and_reference(model: str) -> No
     assert set(found.reservations) - set(before) == {Reservation(model, "doubtful", 1)}
 
 
-def test_a_residual_that_is_no_solution_is_a_reservation() -> None:
-    case = make_case({MODEL: 0.01}, subdivisions=1)
-    loose = dataclasses.replace(case.models[MODEL], scalars={"relative_residual": np.full(4, 1e-3)})
-    run = make_run([dataclasses.replace(case, models={**case.models, MODEL: loose})])
-    assert any("relative residual of 1.0e-03" in one.message for one in verdicts(Digest(run)).reservations)
-
-
 def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
     case = make_case({MODEL: 0.05}, subdivisions=3)
     name = "relative_l2_displacement_error"
@@ -208,17 +190,6 @@ def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
     assert whole is not None
     assert none is not None
     assert (whole.all, none.none) == (True, True)
-
-
-def test_what_is_not_in_the_numbers_is_said() -> None:
-    failed = {"hash": "0" * 8, "label": "x", "code": "crash", "message": "m", "remedy": "r"}
-    run = dataclasses.replace(
-        make_run([make_case({MODEL: 0.1}, subdivisions=0)]), failed=[failed], missing=["a"]
-    )
-    found = verdicts(Digest(run))
-    assert found.lost == 2
-    assert (found.failed, found.damaged, found.missing) == (1, 0, 1)
-    assert any("1 failed, 0 with a damaged file, 1 not run yet" in text for text in said("sure", found))
 
 
 @pytest.mark.parametrize(

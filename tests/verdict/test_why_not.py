@@ -21,8 +21,6 @@ from vdmbench.verdict.why_not import (
     LEFT_OUT,
     MESH,
     MODEL,
-    NO_ANSWER,
-    NOT_TOLD,
     REFERENCE,
     SMALL_STRAIN,
     TIME,
@@ -200,20 +198,6 @@ def test_the_references_bar_is_told_where_it_decides() -> None:
     assert REFERENCE not in causes(make_run([beyond]))
 
 
-def test_no_answer_is_told_with_its_reason() -> None:
-    case = make_case({"vdm-vector": 0.01}, stopped={"vdm-vector": 3}, subdivisions=0)
-    assert told(make_run([case])) == {
-        NO_ANSWER: "no answer in 1 of 1 case: the volume could not be held. What helps: take smaller load steps."
-    }
-    assert causes(make_run([make_case({"vdm-vector": 0.01}, subdivisions=0)])) == {}
-
-
-def test_what_nothing_measured_tells_is_said() -> None:
-    bare = make_case({"vdm-vector": 0.2}, reference="fem", steps=(1.0,), subdivisions=0)
-    assert causes(make_run([bare])) == {NOT_TOLD: Reason(NOT_TOLD)}
-    assert "fem-linear among the models" in told(make_run([bare]))[NOT_TOLD]
-
-
 def test_a_frame_that_takes_too_long_is_told() -> None:
     case = measured_anew(make_case({"vdm-vector": 0.01, "fem-condensed": 0.02}, subdivisions=0))
     run = make_run([case], acceptance={"frame_time": 3e-4})  # they take 0.4 and 0.8 ms
@@ -222,13 +206,3 @@ def test_a_frame_that_takes_too_long_is_told() -> None:
     moving = verdicts(Digest(run)).take[1]
     assert (moving.kind, moving.allowed, moving.model) == ("none quick enough", 3e-4, "")
     assert causes(make_run([case], acceptance={"frame_time": 5e-4})) == {}
-
-
-def test_condensed_elements_say_how_often_they_are_within() -> None:
-    cases = [
-        make_case({"vdm-vector": 0.3, "fem-condensed": error}, label=str(k), swept={"k": k}, subdivisions=0)
-        for k, error in enumerate((0.05, 0.2))
-    ]
-    resting = verdicts(Digest(make_run(cases))).take[0]
-    assert (resting.model, resting.take[0].within, resting.take[0].cases) == ("fem-condensed", 1, 2)
-    assert "within the limits in 1 of 2 cases" in said("instead", resting)[0]
