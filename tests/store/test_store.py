@@ -127,25 +127,6 @@ def test_vtk_reads_surface_fields_and_steps(tmp_path: Path) -> None:
         assert_array_equal(vtk_to_numpy(data.GetArray("region.base")), case.regions["base"])
 
 
-def test_every_column_has_its_unit_and_every_metric_its_definition(tmp_path: Path) -> None:
-    path, case = tmp_path / "case.vtkhdf", example_case()
-    store.write_case(path, case)
-    with h5py.File(path) as file:
-        for name in ("VTKHDF/Points", "VTKHDF/PointData/vdm-paper.displacement"):
-            assert file[name].attrs["unit"] == "m", name
-        about, steps = json.loads(file["case/about"][()]), file["steps"][()]
-    columns = list(about["steps"])
-    assert len(columns) == steps.shape[1]
-    assert about["steps"]["vdm-paper.metrics.max_nodal_error"] == "m"
-    assert set(about["steps"].values()) <= {"m", "J", "Pa", "m^3", "s", "1"}
-    assert_array_equal(steps[:, columns.index("vdm-paper.energy")], case.models["vdm-paper"].energy)
-    assert about["definitions"]["max_nodal_error"] == {
-        "unit": "m",
-        "definition": "largest |u - r|",
-        "version": 2,
-    }
-
-
 def test_a_case_is_read_without_what_its_nodes_have(tmp_path: Path) -> None:
     path, case = tmp_path / "case.vtkhdf", example_case()
     store.write_case(path, case)
@@ -301,53 +282,6 @@ def test_a_damaged_plan_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "plan.json").write_text(text)
     with pytest.raises(StoreError, match="damaged"):
         store.read_run(tmp_path)
-
-
-def test_a_directory_without_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="not a run directory"):
-        store.read_run(tmp_path)
-
-
-def test_study_tables(tmp_path: Path) -> None:
-    first, second = example_case("a1" * 32, "one"), example_case("b2" * 32, "two")
-    second = dataclasses.replace(second, swept={"tissue.poisson_ratio": 0.49, "geometry.shape": "box"})
-    run = Run(first.study, "[study]", [first, second], [], [], {})
-    store.write_study(tmp_path, run)
-    with h5py.File(tmp_path / "study.h5") as file:
-        assert_array_equal(file["swept/tissue.poisson_ratio"], [0.45, 0.49])
-        assert list(file["swept/geometry.shape"].asstr()) == ["=cmd()", "box"]
-        table = file["metrics/vdm-paper/max_nodal_error"]
-        assert_array_equal(table, [[1, 2, 3], [1, 2, 3]])
-        assert [dim.label for dim in table.dims] == ["cases", "steps"]
-        assert list(table.dims[0][0].asstr()) == ["one", "two"]
-        assert_array_equal(table.dims[1][0], [0, 1, 2])
-        assert table.attrs["unit"] == "m"
-    with (tmp_path / "metrics.csv").open() as table:
-        rows = list(csv.DictReader(table))
-    assert len(rows) == 2 * 2 * N_STEPS
-    assert rows[-1]["metric"] == "max_nodal_error"
-    assert float(rows[-1]["value"]) == 3.0
-    bars = [row["reference_error"] for row in rows if row["metric"] == "max_nodal_error"]
-    assert bars == ["", "", "0.25"] * 2, "measured at full load"
-    assert rows[0]["geometry.shape"] == "'=cmd()", "no spreadsheet may take a text for a formula"
-
-
-def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path) -> None:
-    import resource
-
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    import signal
-
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
-    try:
-        with pytest.raises(OSError, match="too large") as caught:
-            store.write_case(tmp_path / "case.vtkhdf", example_case())
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        signal.signal(signal.SIGXFSZ, handler)
-    assert caught.value.filename == str(tmp_path / "case.vtkhdf")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_case_that_would_not_be_read_is_not_written(
