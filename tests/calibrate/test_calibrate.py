@@ -42,6 +42,8 @@ from vdmbench.store.cases import read_case
 from vdmbench.study.config import expand, load_study
 from vdmbench.work.plan import Plan, make_plan
 
+pytestmark = pytest.mark.usefixtures("read_here")
+
 STUDY = """
 [study]
 name = "fit"

@@ -158,7 +158,7 @@ def test_a_model_reads_the_keys_that_change_its_answer_and_no_others(name: str) 
     assert set(VALUES) == set(VdmTable.model_fields)
     model = models.all_models()[name]
     fine = "coarse_nodes" in model.parameters  # enough nodes for a skin on a coarse body of 200
-    geometry = {"shape": "sphere", "radius": 0.05, "mesh_size": 0.012 if fine else 0.02}
+    geometry = {"shape": "sphere", "radius": 0.05, "mesh_size": 0.013 if fine else 0.025}
     study = Study.model_validate(STUDY | {"geometry": geometry})
     scene = build_scene(study, build_mesh(study.geometry))
     assert len(scene.fixed) > 200 or not fine

@@ -23,6 +23,8 @@ from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import StudyError, load_study
 from vdmbench.study.schema import Study
 
+pytestmark = pytest.mark.usefixtures("read_here")
+
 PLACE = np.array([-0.4, 0.3, 1.5])  # m, as in a scan of a whole body
 FROM_MIDDLE: dict[str, Any] = {
     "below": {"below": {"axis": "z", "value": -0.02}},

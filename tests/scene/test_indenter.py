@@ -25,6 +25,8 @@ from vdmbench.study.schema import Study
 from vdmbench.work.keys import wanted
 from vdmbench.work.plan import make_plan
 
+pytestmark = pytest.mark.usefixtures("read_here")
+
 TOUCH: dict[str, Any] = {
     "kind": "indenter",
     "region": "top",

@@ -15,7 +15,6 @@ from vdmbench.work.plan import make_plan
 from .study_texts import CURVE, POINTS, SMALL, SWEPT, TIPS, load, problems
 
 TABLE = tomllib.loads(Path(__file__).with_name("mistakes.toml").read_text())
-ROWS = [(base, *row[:2], row[2:]) for base, rows in TABLE.items() for row in rows]
 BASES = {"small": SMALL, "swept": f"{SWEPT}[sweep]\n", "pressed": TIPS, "points": POINTS, "curve": CURVE}
 
 

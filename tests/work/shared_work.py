@@ -30,7 +30,7 @@ BASE = {"kind": "fixed", "region": "base"}
 FINGER = {"name": "finger", "kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"}
 ONE_LOAD: dict[str, Any] = {
     "study": {"name": "test", "models": ["vdm-vector", "fem-linear"], "reference": "fem-linear"},
-    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.022},
+    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.03},
     "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
     "regions": {
         "base": {"below": {"axis": "z", "fraction": 0.25}},

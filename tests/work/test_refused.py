@@ -17,11 +17,10 @@ from tests.work.shared_work import TABLES, plan_of
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
-from vdmbench.report.rebuild import rebuild
-from vdmbench.study.errors import StudyError
 from vdmbench.study.registry import Size
 from vdmbench.work.explain import summary
-from vdmbench.work.run import Options, run_plan
+
+pytestmark = pytest.mark.usefixtures("read_here")
 
 cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 
@@ -29,7 +28,7 @@ cache, meshes = shared_work.cache, shared_work.meshes  # the fixtures
 @pytest.mark.parametrize(
     ("share", "known", "told"),
     [
-        (0.7, False, "about 75 surface nodes"),
+        (0.7, False, "about 40 surface nodes"),
         (0.8, False, None),
         (0.95, True, "{} surface nodes"),
         (1.0, True, None),
@@ -107,35 +106,6 @@ def test_a_region_off_the_body_of_a_file_is_named_before_it_is_meshed(
         high = float(line.partition("z from ")[2].split()[2])
         assert line.startswith("region 'finger' lies off the body: the body has x from -0.0")
         assert_allclose(high, 0.05, rtol=0.05, atol=0)
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (None, "the body is 0.1 m across: if that is wrong correct its lengths, else use a larger mesh_size"),
-        ({"scale": 1.0}, "m across: if that is wrong correct scale, else use a larger mesh_size"),
-        ({}, "m across: if the file is not in metres give scale or size, else use a larger mesh_size"),
-    ],
-)
-def test_what_the_machine_has_no_memory_for_is_named_and_not_begun(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: dict[str, float] | None, words: str
-) -> None:
-    file, ball = tmp_path / "ball.stl", build_mesh(shaped("sphere", 0.022, {"radius": 0.05}), volume=False)
-    meshio.write_points_cells(file, ball.surface_points, [("triangle", ball.triangles)])
-    geometry = {} if given is None else {"shape": "file", "path": str(file), "mesh_size": 0.022} | given
-    plan = plan_of(tmp_path / "run", tmp_path / "cache", geometry=geometry or TABLES["geometry"])
-    assert summary(plan)["refused"] == []
-    monkeypatch.setattr("vdmbench.work.explain.machine_memory", lambda: 1_000_000)
-    (line,) = summary(plan)["refused"]
-    assert line.startswith("fem-linear refined on a mesh of ")
-    assert line.endswith(words)
-    with pytest.raises(StudyError) as raised:
-        run_plan(plan, "", Options(jobs=1), lambda _: None, rebuild)
-    (problem,) = raised.value.problems
-    assert (problem.key, problem.message) == ("geometry.mesh_size", line)
-    assert not (tmp_path / "run" / "plan.json").exists()
-    without = {"study": TABLES["study"] | {"models": ["vdm-vector"], "reference": None}, "uncertainty": None}
-    assert summary(plan_of(tmp_path / "other", tmp_path / "cache", **without))["refused"] == []
 
 
 @pytest.mark.parametrize(
