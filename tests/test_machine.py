@@ -35,12 +35,6 @@ def test_a_peak_that_is_freed_again_counts(megabytes: int) -> None:
     assert 0.9 * megabytes < peak_bytes_since(resident) / 1e6 < 1.2 * megabytes + 2
 
 
-def test_an_earlier_peak_does_not_count() -> None:
-    array = np.ones(10_000_000)
-    del array
-    assert peak_bytes_since(reset_peak()) < 2e6
-
-
 _RESERVES = """
 import mmap
 import numpy as np

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose
 
 from tests.command import do
 from tests.example_case import asked
-from tests.report.runs import make_case, make_run, sweep_run
+from tests.report.runs import make_case, sweep_run
 from vdmbench.cli.arguments import parse
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.report.blocks import Cell, Column, Table
@@ -90,10 +90,3 @@ def test_what_a_spreadsheet_would_run_and_what_latex_would_read_are_made_safe() 
     assert table_csv(table) == "'=cmd(),Error worst [1]\n50 % of_a & b,-1.2e-05\n"
     assert r"50 \% of\_a \& b & $-$1.2×10$^{-}$$^{3}$ \% ± 1 \% \\" in table_latex(table, "T_1")
     assert r"\caption{T\_1}" in table_latex(table, "T_1")
-
-
-def test_nothing_is_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "mine.txt").write_text("precious")
-    with pytest.raises(ValueError, match="out: is not an empty directory"):
-        _export(make_run([make_case({"vdm-vector": 0.1})]), tmp_path, monkeypatch)

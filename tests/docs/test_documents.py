@@ -11,12 +11,15 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 import pyvista
 
 from tests.command import vdmbench
 from tools import documents, site
 from vdmbench.body.geometry import build_mesh
 from vdmbench.study.config import expand, load_study
+
+pytestmark = pytest.mark.usefixtures("read_here")
 
 TEXT = documents.README.read_text()
 DOCS = documents.ROOT / "docs"

@@ -320,22 +320,6 @@ def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return [str(tmp_path / name) for name in found]
 
 
-def test_runs_stand_side_by_side_in_80_columns(beside: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert do(parse(["compare", *beside])) == 0
-    told = capsys.readouterr().out
-    lines = told.splitlines()
-    assert max(map(len, lines)) <= 80
-    start = lines.index("displacement error")
-    columns = [line.split() for line in lines[start + 1 : start + 5]]
-    assert [words[: len(words) - 2 * (k > 0)] for k, words in enumerate(columns)] == [
-        ["model", "A", "B", "C", "D"],
-        ["vdm-paper", "20.0", "%", "40.0", "%", "worse", "20.0", "%", "?"],
-        ["vdm-vector", "10.0", "%", "2.00", "%", "better", "10.0", "%", "?"],
-        ["bem", "5.00", "%", "–", "fails", "5.00", "%", "?"],
-    ]
-    assert "   tissue.youngs_modulus was 5000.0, is 1000.0" in lines
-
-
 def test_json_has_every_metric_and_the_findings(
     beside: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

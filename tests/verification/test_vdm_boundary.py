@@ -7,10 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import eval_legendre
 
-from fem_reference.linear import LinearProblem
-from fem_reference.loads import Load as VolumeLoad
-from solver_common.quadrature import facet_quadrature
-from tests.bodies import shaped
 from tests.vdm.vdm_shapes import box, icosphere
 from tests.verification.records import Verified
 from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
@@ -18,8 +14,6 @@ from vdm.boundary.operators import Facets, layers, surface_stiffness
 from vdm.material import ball_compliance
 from vdm.peers.bem import MAX_NODES
 from vdm.surface import rigid_basis
-from vdmbench.body.geometry import build_mesh
-from vdmbench.body.surface_measures import deformations, relative_l2
 
 
 def ball(level: int) -> SurfaceMesh:
@@ -219,40 +213,3 @@ def test_bad_parameters_and_sizes():
         Model(points, triangles, Parameters(shear_modulus=1.0), formulation="bem")
     with pytest.raises(ParameterError, match="isotropic"):
         Parameters(shear_modulus=1.0).anisotropic(SurfaceMesh(points, triangles), (0, 0, 1), 2.0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shape", ["box", "cylinder"])
-def test_held_patches_against_mixed_finite_elements(shape):
-    parameters = {
-        "box": {"size": (0.1, 0.08, 0.05)},
-        "cylinder": {"radius": 0.03, "length": 0.1, "axis": "x"},
-    }
-    mesh = build_mesh(shaped(shape, 0.01, parameters[shape]))
-    surface = SurfaceMesh(mesh.surface_points, mesh.triangles)
-    base = surface.points[:, 2] < surface.points[:, 2].min() + (0.001 if shape == "box" else 0.008)
-    patch = np.linalg.norm(surface.points - [0.02, 0.01, surface.points[:, 2].max()], axis=1) < 0.02
-    loaded = np.where(patch[mesh.triangles].all(axis=1), 200.0, 0.0)
-    load = Load.from_facet_pressure(surface, loaded)
-    soft = Model(
-        surface.points,
-        mesh.triangles,
-        Parameters.from_tissue(5000.0, surface, "bem"),
-        formulation="bem",
-        fixed=base,
-    ).solve([load])
-    problem = LinearProblem(
-        mesh.points,
-        mesh.tetrahedra,
-        mesh.surface_nodes,
-        mesh.triangles,
-        youngs_modulus=5000.0,
-        poisson_ratio=0.4999,
-        held=base,
-    )
-    quadrature = np.repeat(loaded[:, None], len(facet_quadrature()[1]), axis=1)
-    solid = problem.solve([VolumeLoad(quadrature, np.zeros_like(surface.points), np.zeros(3))])
-    model, reference = soft.displacement[0], solid.displacement[0]
-    assert relative_l2(model, reference, surface.nodal_areas) < 0.10
-    shapes = deformations(surface.points, np.stack([model, reference]), surface.nodal_areas)
-    assert relative_l2(*shapes, surface.nodal_areas) < 0.15
