@@ -19,7 +19,7 @@ from vdmbench.bench import (
     rows,
     spread,
 )
-from vdmbench.cli.verb_bench import bodies_to_measure
+from vdmbench.cli.verbs_of_trials import bodies_to_measure
 from vdmbench.study.config import load_study
 from vdmbench.study.errors import InputError
 
@@ -48,7 +48,6 @@ def entry(model: str, recut: float, frame: float, error: float, **changes: Any) 
 
 
 VECTOR = entry("vdm-vector", 0.01, 1e-3, 0.2)
-LINEAR = entry("fem-linear", 0.1, 0.05, 0.03)
 
 
 def test_what_the_reference_leaves_open_is_undecided() -> None:

@@ -27,7 +27,6 @@ from vdmbench.body.topology import (
 from vdmbench.study.errors import MeshError
 
 CORNER = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-ONE = np.array([[0, 1, 2, 3]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 

@@ -184,22 +184,6 @@ def test_capsule_as_a_cylinder(verified: Verified) -> None:
     verified.equal("half-width, by vertices", s.contact_area[0] / 0.2, half, rtol=0.1)
 
 
-def test_a_capsule_without_length_is_a_sphere_and_a_plane_has_no_gap() -> None:
-    x = np.random.default_rng(2).uniform(-1.2, 1.2, (200, 3))
-    sphere = Indenter(Sphere(0.9), (0.1, 0.2, 0.3), (0.0, 2.0, 0.0))
-    capsule = Indenter(Capsule(0.9, 1e-300, (1.0, 0.0, 0.0)), (0.1, 0.2, 0.3), (0.0, 1.0, 0.0))
-    assert_allclose(capsule.gap(x), sphere.gap(x), rtol=1e-12, atol=1e-12)
-    centre = np.array([0.1, 0.2 - 0.9, 0.3])
-    touching = sphere.gap(x)
-    known = np.isfinite(touching)
-    assert 20 < known.sum() < 180
-    # moved back by its gap each point lies on the sphere
-    back = x[known] - touching[known, None] * [0.0, 1.0, 0.0]
-    assert_allclose(np.linalg.norm(back - centre, axis=1), 0.9, rtol=1e-12)
-    punch = Indenter(FlatPunch(0.5), ORIGIN, DOWN)
-    assert_allclose(punch.gap(np.array([[0.3, 0.0, -0.2], [0.6, 0.0, 0.0]])), [0.2, np.inf])
-
-
 def test_balance_history_and_separation() -> None:
     """The support carries the indenter; unloading goes the same way back; without depth there is no contact."""
     b = cube(4)

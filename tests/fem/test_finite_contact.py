@@ -18,8 +18,6 @@ from fem_reference.solution import SolverError
 from tests.fem.shapes import Body, cube
 from tests.verification.records import Verified
 
-Array = NDArray[np.float64]
-
 DOWN, TIP = (0.0, 0.0, -1.0), (0.5, 0.5, 1.0)
 
 

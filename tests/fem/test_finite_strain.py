@@ -323,13 +323,6 @@ def test_an_elastic_body_forgets_its_path(block: Body) -> None:
     assert np.all(path.iterations > 0)
 
 
-def test_a_load_that_costs_nothing(block: Body) -> None:
-    s = _converged(_problem(block, _bottom(block)).solve([block.load()], EVERYTHING))
-    assert_array_equal(s.displacement, 0.0)
-    assert_array_equal(s.iterations, 0)
-    assert_allclose(s.scalars["volume"], 1.0, rtol=1e-14, atol=0)
-
-
 def test_substeps_are_cut_and_grow(block: Body) -> None:
     """Pressed flat in one load step: too much for one solve, not for several."""
     x = block.surface

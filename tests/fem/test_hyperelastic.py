@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from fem_reference.exact_finite_strain import InflatedThickSphere
@@ -14,8 +13,6 @@ from tests.fem.convergence import Convergence, inner_error
 from tests.fem.shapes import pressed_shell
 from tests.fem.test_materials import SHAPES, _curves
 from tests.verification.records import Verified
-
-Array = NDArray[np.float64]
 
 a_sphere = pytest.mark.anchor(
     "hyperelastic thick sphere", "Ogden 1984, Non-Linear Elastic Deformations, section 5.3.2"

@@ -111,13 +111,6 @@ def test_too_little_support_is_told(hold: object, words: str) -> None:
         held_nodes(TetMesh(*b.arrays), hold(b.surface))  # type: ignore[operator]
 
 
-def test_three_nodes_off_one_line_hold_a_body() -> None:
-    b = cube(2)
-    held = np.isin(b.surface @ [1, 10, 100], [0, 1, 10])
-    assert held.sum() == 3
-    held_nodes(TetMesh(*b.arrays), held)
-
-
 def test_every_separate_body_needs_support() -> None:
     one = cube(1)
     both = body(

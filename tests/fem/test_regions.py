@@ -15,8 +15,6 @@ from tests.fem.convergence import Convergence, inner_error, radial_error
 from tests.fem.shapes import Body, cube, pressed_shell
 from tests.verification.records import Verified
 
-Array = NDArray[np.float64]
-
 a_bar = pytest.mark.anchor(
     "bar of two materials in series", "uniaxial stress, Poisson ratios in the ratio of Young's moduli"
 )

@@ -118,12 +118,6 @@ def test_each_stop_leaves_what_its_rule_does_not_see() -> None:
     assert printed[1] < intended[1] < residual[1]
 
 
-def test_a_load_that_rests_is_answered_from_the_last_solution() -> None:
-    solution = model(stop="residual", volume_row="corrected").solve([PUSH] * 12)
-    assert solution.iterations[0] > 3 * solution.iterations[-1]
-    assert_allclose(solution.displacement[-1], solution.displacement[-2], rtol=0, atol=1e-8)
-
-
 def test_a_load_that_throws_nodes_off_the_body_fails_with_a_remedy() -> None:
     solution = model().solve([PUSH.scaled(1e4), PUSH])
     assert [status.code for status in solution.status] == ["diverged", "diverged"]
@@ -142,17 +136,6 @@ def test_a_load_that_throws_nodes_off_the_body_fails_with_a_remedy() -> None:
 def test_what_a_solver_does_not_read_is_refused(options: dict[str, str]) -> None:
     with pytest.raises(ParameterError):
         Model(POINTS, TRIANGLES, MATERIAL, fixed=FIXED, **options)
-
-
-def test_what_a_stopped_solve_left_of_its_volume_row_is_in_the_next_one() -> None:
-    """(33) starts from the last solution, whose own row is zero only where its solve is exact."""
-    solver = model(tolerance=1e-2).solver
-    first = solver.step(RISING[0])
-    second = solver.step(RISING[1], first)
-    before = SurfaceMesh(POINTS + first.displacement, TRIANGLES).nodal_areas
-    left = float(before @ lengths(second.displacement))
-    assert abs(left) > 1e-6 * (before @ np.abs(lengths(second.displacement)))
-    assert_allclose(solver.system(RISING[2], second)[1][-1], left, rtol=1e-9, atol=0)
 
 
 def test_a_scaled_load_scales_all_of_its_parts() -> None:

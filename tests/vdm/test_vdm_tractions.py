@@ -7,10 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from solver_common.arrays import Mask
 from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
-from vdm.boundary import operators, tractions
+from vdm.boundary import operators
 from vdm.boundary.operators import Facets, assembled
 from vdm.boundary.tractions import shared
 
@@ -63,41 +62,6 @@ def test_facets_at_a_right_angle_or_more_share_none() -> None:
         assert min(normals[first] @ normals[second] for first, second in pairs) > 0.8
 
 
-def test_pairs_belong_to_the_body_not_to_numbers_or_axes() -> None:
-    points, triangles = rough()
-    held = points[:, 0] < -0.02
-    random = np.random.default_rng(2)
-    nodes, facets = random.permutation(len(points)), random.permutation(len(triangles))
-    turn = np.linalg.qr(random.standard_normal((3, 3)))[0]
-    turn *= np.linalg.det(turn)
-    place = np.argsort(nodes)
-    first = shared(SurfaceMesh(points, triangles), held)
-    other = SurfaceMesh(1e3 * points[nodes] @ turn.T + 7.0, np.roll(place[triangles[facets]], 1, axis=1))
-    second = np.empty_like(first)
-    second[facets] = shared(other, held[nodes])
-    assert {tuple(pair) for pair in members(first)} == {tuple(pair) for pair in members(second)}
-
-
-def test_a_coarse_body_has_its_rim_where_the_fine_one_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    points, triangles = icosphere(3, (0.05, 0.05, 0.05))
-    seen: list[tuple[SurfaceMesh, Mask]] = []
-
-    def spied(surface: SurfaceMesh, held: Mask) -> Index:
-        seen.append((surface, held))
-        return shared(surface, held)
-
-    monkeypatch.setattr(operators, "DOUBLE_NODES", 0)
-    monkeypatch.setattr(tractions, "shared", spied)
-    fixed = points[:, 2] < -0.02
-    parameters = Parameters(shear_modulus=1e3, coarse_nodes=300)
-    Model(points, triangles, parameters, formulation="bem-sparse", fixed=fixed)
-    ((coarse, held),) = seen
-    assert coarse.n_nodes < 350
-    # within a fine facet of its edge
-    assert held[coarse.points[:, 2] < -0.03].all()
-    assert not held[coarse.points[:, 2] > -0.01].any()
-
-
 @pytest.mark.parametrize("nu", [0.3, 0.4999, 0.5])
 def test_the_operators_are_those_of_all_tractions_summed_up(nu: float) -> None:
     points, triangles = rough(1)
@@ -116,25 +80,6 @@ def test_the_operators_are_those_of_all_tractions_summed_up(nu: float) -> None:
         (parts.hypersingular, whole.hypersingular),
     ):
         assert_allclose(found, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
-
-
-def test_a_uniform_pressure_stays_among_the_tractions() -> None:
-    points, triangles = rough(1)
-    surface = SurfaceMesh(points, triangles)
-    facets = Facets.of(points, triangles, shared(surface, np.zeros(len(points), np.bool_)))
-    assert facets.n_tractions < 0.6 * len(triangles)
-    pressure = np.zeros((facets.n_tractions, 3))
-    pressure[facets.numbers] = facets.axes
-    parts = assembled(facets, 0.5)
-    moved = parts.single @ pressure.reshape(-1)
-    assert np.abs(moved).max() < 1e-3 * np.abs(parts.single).max()  # quadrature
-    # its work is the change of volume
-    assert_allclose(
-        parts.jump.T @ pressure.reshape(-1),
-        surface.area_vectors.reshape(-1),
-        rtol=0.0,
-        atol=1e-3 * np.abs(surface.area_vectors).max(),
-    )
 
 
 def test_sharing_costs_an_answer_less_than_its_mesh_does(monkeypatch: pytest.MonkeyPatch) -> None:
