@@ -20,10 +20,10 @@ from vdmbench.body.intersections import intersecting_facets
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache, read_mesh, write_mesh
 from vdmbench.body.read_apart import clean_of
-from vdmbench.body.remesh import subdivided, surface_distance, uniform_surface, unit_sphere
+from vdmbench.body.remesh import unit_sphere
 from vdmbench.body.repair import CleanSurface, CleanTetrahedra
 from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
-from vdmbench.body.topology import consistent_orientation, tetrahedron_sicn, tetrahedron_volumes
+from vdmbench.body.topology import tetrahedron_sicn, tetrahedron_volumes
 from vdmbench.study import shapes
 from vdmbench.study.errors import MeshError
 from vdmbench.study.shapes import Box, Cylinder, Shape, geometry_key, liver_points
@@ -146,38 +146,6 @@ def test_the_organ_meshes_well_at_every_size(nodes: int) -> None:
 
 
 # --- imported surfaces --------------------------------------------------------------------------------
-
-
-def test_uniform_remeshing_keeps_a_ball() -> None:
-    """Nodes lie on the facets of the fine ball; the surfaces are apart as chords are, by about h^2 / 8 R."""
-    points, triangles = unit_sphere(5)
-    h = 0.2
-    nodes, facets = uniform_surface(points, triangles, h)
-    assert abs(len(nodes) / (2 / np.sqrt(3) * 4 * np.pi / h**2) - 1) < 0.01
-    assert_allclose(np.linalg.norm(nodes, axis=1), 1, rtol=0, atol=1e-3)
-    mean, near = surface_distance(points, triangles, nodes, facets)
-    assert h**2 / 8 * 0.5 < mean < near.max() < h**2 / 8 * 4
-    assert near.min() > h**2 / 8 * 0.5  # a chord is apart about every node
-    edges = np.linalg.norm(nodes[facets] - nodes[np.roll(facets, 1, axis=1)], axis=2)
-    assert edges.std() / edges.mean() < 0.15
-
-
-@pytest.mark.parametrize("longest", [0.55, 0.17])
-def test_subdivision_keeps_the_surface(longest: float) -> None:
-    points, triangles = unit_sphere(1)
-    points = points * [1.0, 2.0, 0.5]
-    fine, facets = subdivided(points, triangles, longest, max_points=10_000)
-    edges = np.linalg.norm(fine[facets] - fine[np.roll(facets, 1, axis=1)], axis=2)
-    assert edges.max() <= longest
-    assert_array_equal(consistent_orientation(fine, facets)[0], facets)  # closed, and facing as before
-    assert_array_equal(fine[: len(points)], points)
-    before, after = facet_area_vectors(points, triangles), facet_area_vectors(fine, facets)
-    assert_allclose(enclosed_volume(fine, facets), enclosed_volume(points, triangles), rtol=1e-13, atol=0)
-    assert_allclose(
-        np.linalg.norm(after, axis=1).sum(), np.linalg.norm(before, axis=1).sum(), rtol=1e-13, atol=0
-    )
-    with pytest.raises(MeshError, match="needles"):
-        subdivided(points, triangles, longest, max_points=len(points) - 1)
 
 
 def surface_file(path: Path, mesh: Mesh, unit: float = 1e-3, shift: float = 0.0) -> Path:

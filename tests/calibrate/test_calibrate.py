@@ -6,10 +6,8 @@ import dataclasses
 import json
 import re
 import tomllib
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import meshio
 import numpy as np
@@ -19,7 +17,6 @@ from numpy.testing import assert_allclose
 from tests.command import strict_json, vdmbench
 from tests.in_process import do_cases
 from tests.report.runs import icosphere
-from vdmbench import models
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.calibrate import (
     Body,
@@ -155,33 +152,6 @@ def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: lis
     assert_allclose(
         written["vdm"]["surface_tension"], entry.fit.parameters["surface_tension"], rtol=1e-5, atol=0
     )
-
-
-def test_the_loads_of_a_body_share_their_set_ups(
-    samples: list[Sample], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    known = answered(samples, "vdm-vector", [1.3], ["surface_tension"])
-    counts: Counter[str] = Counter()
-    start, answer = models.Prepared.__init__, models.Prepared.answer
-
-    def counted_start(self: models.Prepared, *arguments: Any, **options: Any) -> None:
-        counts["set-ups"] += 1
-        start(self, *arguments, **options)
-
-    def counted_answer(self: models.Prepared, *arguments: Any) -> Any:
-        counts["answers"] += 1
-        return answer(self, *arguments)
-
-    monkeypatch.setattr(models.Prepared, "__init__", counted_start)
-    monkeypatch.setattr(models.Prepared, "answer", counted_answer)
-    entry = fit("vdm-vector", known[:3], known)
-    assert counts["answers"] >= 3 * counts["set-ups"], "three loads or more to a set-up"
-    trial = Trial("vdm-vector", known, ["surface_tension"])
-    together = trial.answers(np.array([1.1]))
-    for sample, found in zip(known, together, strict=True):  # the long way: each load set up by itself
-        alone = Trial("vdm-vector", [sample], ["surface_tension"]).answers(np.array([1.1]))[0]
-        assert_allclose(found, alone, rtol=0, atol=1e-13 * np.abs(alone).max())
-    assert_allclose(list(entry.multiples.values()), 1.3, rtol=1e-3, atol=0)
 
 
 def finished(text: str, directory: Path) -> tuple[Run, Plan]:

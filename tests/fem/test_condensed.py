@@ -137,17 +137,6 @@ def test_held_nodes_that_move_are_equal_to_the_linear_solve(body: Body, element:
     assert_allclose(given_way, -model.matrix[-2:, :own].T, rtol=0, atol=1e-10 * np.abs(given_way).max())
 
 
-def test_a_body_that_is_only_moved_needs_no_contact(body: Body) -> None:
-    down = np.zeros((1, len(body.surface), 3))
-    down[0, body.surface[:, 2] > 0.03, 2] = -1.0
-    held = (body.surface[:, 2] < -0.03) | (body.surface[:, 2] > 0.03)
-    linear = body.problem(held, youngs_modulus=5e3, poisson_ratio=0.5, solver="direct")
-    model = CondensedProblem(linear, np.zeros(len(body.surface), dtype=bool), motions=down)
-    load = body.load(0.0, prescribed=0.002 * down[0])
-    expected, found = linear.solve([load]), model.solve([load])
-    assert_same(found, expected, 1e-10)
-
-
 @pytest.mark.parametrize("density", [0.0, 1e3])
 def test_a_body_without_contact_has_its_weight_or_stays_at_rest(body: Body, density: float) -> None:
     linear = _linear(body, density=density)

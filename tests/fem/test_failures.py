@@ -16,19 +16,6 @@ def _problem(body: Body, held: Array, poisson_ratio: float = 0.4999) -> FiniteSt
     )
 
 
-def test_the_stretches_of_a_surface_that_are_known() -> None:
-    """Each face of a box has two of its stretches; the place is that of the shortest in plane strain."""
-    body = mapped_box((2, 2, 2), lambda x: x + np.array([3.0, 0.0, 0.0]))
-    mesh = _problem(body, body.surface[:, 2] == 0.0).mesh
-    stretches = np.array([0.5, 0.8, 2.5])
-    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
-    worst = most_compressed(mesh, mesh.node_points @ (np.diag(stretches) @ turn) - mesh.node_points)
-    assert_allclose([worst.least, worst.other], [0.5, 0.8], rtol=1e-12, atol=0)
-    assert_allclose(worst.plane, 0.5 * np.sqrt(0.8), rtol=1e-12, atol=0)
-    assert worst.place[2] in (0.0, 1.0), "the faces whose stretches are 0.5 and 0.8"
-    assert 3.0 < worst.place[0] < 4.0
-
-
 def test_a_rim_that_creases_is_named_and_ends_the_way_soon() -> None:
     body = mapped_box((2, 2, 2), lambda x: x)
     # what solvers remember moves the end of the way: each begins anew

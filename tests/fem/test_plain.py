@@ -182,10 +182,3 @@ def test_every_problem_refuses_alike(kind: type) -> None:
         problem.solve([])
     with pytest.raises(SolverError, match="output 'colour' is unknown"):
         problem.solve([good], frozenset({"colour"}))
-
-
-def test_a_law_that_is_not_written_out_is_refused() -> None:
-    b = cube(1)
-    law = {"material": "mooney-rivlin", "material_parameters": {"second_share": 0.5}}
-    with pytest.raises(SolverError, match="mooney-rivlin"):
-        PlainFiniteStrainProblem(*b.arrays, youngs_modulus=1.0, poisson_ratio=0.3, held=base(b), **law)

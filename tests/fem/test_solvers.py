@@ -11,9 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import spsolve
 
-from fem_reference import krylov, linear_algebra
+from fem_reference import linear_algebra
 from fem_reference.costs import Estimate, estimate_costs
-from fem_reference.krylov import gmres
 from fem_reference.linear_algebra import (
     DirectSolver,
     IterativeSolver,
@@ -22,7 +21,6 @@ from fem_reference.linear_algebra import (
 )
 from fem_reference.loads import held_nodes
 from fem_reference.mesh import TetMesh
-from fem_reference.multigrid import DisplacementPreconditioner
 from fem_reference.solution import SolverError
 from fem_reference.system import LinearSystem, build_system
 from tests.fem.shapes import cube
@@ -69,37 +67,6 @@ def test_single_precision_gives_way_to_double_where_it_is_too_coarse() -> None:
     assert_allclose(solved.x, _exact(stiff, rhs[:, 0])[:, None], rtol=0, atol=1e-6 * np.abs(solved.x).max())
 
 
-def test_many_loads_are_solved_in_double_precision_where_that_fits() -> None:
-    system = _system(3)
-    rhs = np.random.default_rng(0).standard_normal((system.size, 2))
-    few = choose_solver(system, "direct", 255, None)
-    many = choose_solver(system, "direct", 256, None)
-    assert isinstance(few, DirectSolver)
-    assert isinstance(many, DirectSolver)
-    assert (few.precision, many.precision) == ("float32", "float64")
-    assert few.estimated_bytes < many.estimated_bytes
-    tight = choose_solver(system, "direct", 256, 0.5 * (few.estimated_bytes + many.estimated_bytes))
-    assert isinstance(tight, DirectSolver)
-    assert tight.precision == "float32"
-    exact = _exact(system, rhs)
-    for solver in (few, many, tight):
-        assert_allclose(solver.solve(rhs).x, exact, rtol=0, atol=1e-10 * np.abs(exact).max())
-
-
-def test_gmres_solves_across_restarts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(krylov, "RESTART", 7)
-    rng = np.random.default_rng(0)
-    a = np.diag(np.linspace(1.0, 30.0, 60)) + 0.2 * rng.standard_normal((60, 60))
-    b = rng.standard_normal(60)
-    half = np.linalg.inv(np.diag(np.diag(a)))
-    x, used = gmres(lambda v: a @ v, lambda v: half @ v, b, np.zeros(60), tolerance=1e-10, max_iterations=200)
-    assert np.linalg.norm(b - a @ x) <= 1e-10 * np.linalg.norm(b)
-    assert 7 < used < 100
-    again, none = gmres(lambda v: a @ v, lambda v: half @ v, b, x, tolerance=1e-10, max_iterations=200)
-    assert none == 0
-    assert_array_equal(again, x)
-
-
 def test_a_load_history_is_one_iterative_solve() -> None:
     system = _system()
     load = np.random.default_rng(0).standard_normal(system.size)
@@ -107,20 +74,6 @@ def test_a_load_history_is_one_iterative_solve() -> None:
     assert (solved.iterations > 0).sum() == 1
     assert solved.residual.max() <= 1e-8
     assert_allclose(solved.x[:, 0] * 4.0, solved.x[:, 1], rtol=1e-9, atol=1e-12 * np.abs(solved.x).max())
-
-
-def test_the_preconditioner_is_symmetric_and_leaves_held_components_alone() -> None:
-    b = cube(3, distort=0.2)
-    mesh = TetMesh(*b.arrays)
-    system = build_system(mesh, held_nodes(mesh, b.surface == 0.0), mixed=True, poisson_ratio=0.3)
-    preconditioner = DisplacementPreconditioner(system)
-    held = system.held[system.kept].ravel()
-    rng = np.random.default_rng(0)
-    x, y = (np.where(held, 0.0, rng.standard_normal(len(held))) for _ in range(2))
-    assert held.any()
-    assert_array_equal(preconditioner(x)[held], 0.0)
-    assert_allclose(x @ preconditioner(y), y @ preconditioner(x), rtol=1e-10, atol=0)
-    assert x @ preconditioner(x) > 0.0
 
 
 def test_iterations_do_not_grow_towards_incompressibility() -> None:

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from solver_common.quadrature import facet_quadrature
 from tests.vdm.vdm_shapes import box, icosphere, torus
 from vdm.boundary import kernels, operators
 from vdm.boundary.far import far_row
 from vdm.boundary.kernels import _space, integrate_pair, rules
 from vdm.boundary.operators import Facets, assembled, layers, surface_stiffness
-from vdm.boundary.quadrature import sixteen_points, three_points, touching
+from vdm.boundary.quadrature import three_points
 
 Array = NDArray[np.float64]
 RATIOS = (-0.5, 0.0, 0.3, 0.4999, 0.5)
-ROOT = Path(__file__).parents[2]
 
 
 def body(level: int = 1) -> Facets:
@@ -43,18 +36,6 @@ def rigid(points: Array) -> Array:
         motions[:, :, 3 + k] = np.cross(np.eye(3)[k], points)
     basis: Array = np.linalg.qr(motions.reshape(-1, 6))[0]
     return basis
-
-
-def test_rules_integrate_polynomials_over_two_triangles() -> None:
-    # int x_a^i over a triangle of unit area is 2 i! / (i + 2)!
-    for x, y, weights in touching():
-        assert_allclose(weights.sum(), 1.0, rtol=1e-14, atol=0.0)
-        for a in range(3):
-            for b in range(3):
-                assert_allclose(weights @ (x[:, a] * y[:, b] ** 2), 1 / 3 * 1 / 6, rtol=1e-13, atol=0.0)
-    for degree, (points, weights) in ((4, facet_quadrature()), (8, sixteen_points())):
-        exact = 2.0 / ((degree + 1) * (degree + 2))
-        assert_allclose(weights @ points**degree, exact, rtol=1e-11, atol=0.0)
 
 
 @pytest.mark.parametrize("shape", [icosphere(1), box(3, (1.0, 0.8, 0.05))], ids=["ball", "thin plate"])
@@ -82,16 +63,6 @@ def test_every_rule_agrees_with_a_finer_one(shape: tuple[Array, NDArray[np.int64
         rtol=0.0,
         atol=1e-4 * facets.areas.max(),
     )
-
-
-@pytest.mark.parametrize("nu", RATIOS)
-def test_a_rigid_motion_needs_no_traction(nu: float) -> None:
-    facets = body()
-    _, jump, hypersingular = equations(facets, nu)
-    motions = rigid(facets.points)
-    for matrix in (jump, hypersingular):
-        # of the quadrature's size, no repair
-        assert np.abs(matrix @ motions).max() < 3e-5 * np.linalg.norm(matrix, 2)
 
 
 @pytest.mark.parametrize("nu", RATIOS)
@@ -179,30 +150,6 @@ def test_single_precision_is_not_seen_in_an_answer(
     exact, found = answers
     assert np.linalg.norm(found - exact) < (2e-6 if flat == 1.0 else 5e-5) * np.linalg.norm(exact)
     assert not np.array_equal(found, exact)
-
-
-CHILD = """
-import numpy as np
-from vdm.boundary.operators import Facets, layers
-points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-print(layers(Facets.of(points, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]), 0.3)[0].sum())
-"""
-
-
-@pytest.mark.slow
-def test_several_processes_compile_and_keep_the_same_code_at_once(tmp_path: Path) -> None:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
-
-    def start() -> subprocess.Popen[str]:
-        return subprocess.Popen(
-            [sys.executable, "-c", CHILD], env=environment, stdout=subprocess.PIPE, text=True
-        )
-
-    first = [child.communicate()[0] for child in [start() for _ in range(3)]]
-    assert list(tmp_path.rglob("*.nbc")), "nothing was kept"
-    second = start().communicate()[0]  # from what was kept
-    assert {*first, second} == {first[0]}
-    assert float(second) > 0.0
 
 
 @pytest.mark.parametrize("n_nodes", [operators.DOUBLE_NODES, operators.DOUBLE_NODES + 1])

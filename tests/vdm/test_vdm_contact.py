@@ -7,7 +7,7 @@ import pytest
 
 from tests.vdm.vdm_shapes import icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
-from vdm.solvers import columns, compliance
+from vdm.solvers import columns
 from vdm.solvers.compliance import ContactCompliance
 
 POINTS, TRIANGLES = icosphere(4, (0.06, 0.05, 0.045))
@@ -51,13 +51,6 @@ def test_frames_of_a_resting_contact_equal_the_full_solve(solver):
     assert columns.nbytes < 0.75 * columns.columns.nbytes
 
 
-def test_another_contact_starts_anew(solver):
-    contact = ContactCompliance(solver.problem)
-    other = np.argsort(-POINTS[:, 0])[:50]
-    for nodes in (PATCH, PATCH, other, PATCH[:20], PATCH[:20]):
-        assert error_of_a_frame(contact, solver, nodes, np.full(len(nodes), 50.0)) < 1e-6
-
-
 def test_a_contact_all_over_the_body_is_not_shortened(solver):
     nodes = np.flatnonzero(~BASE)[::50]
     contact = ContactCompliance(solver.problem)
@@ -93,17 +86,6 @@ def test_the_printed_sign_holds_for_columns_too():
     assert error_of_a_frame(contact, body, PATCH, pressure) < 1e-6
     found = body.formulation.displacement(contact.frame(PATCH, pressure)[0])
     assert found[PATCH[0]] @ BODY.normals[PATCH[0]] > 0.0, "bulges towards the finger"
-
-
-def test_a_contact_that_wanders_keeps_the_latest_columns_only(solver, monkeypatch):
-    column = 4 * (len(POINTS) * solver.formulation.components + 1)
-    monkeypatch.setattr(compliance, "KEPT", 60 * column)
-    contact = ContactCompliance(solver.problem)
-    order = np.argsort(-POINTS[:, 2])
-    for nodes in (order[:50], np.append(order[:5], order[50:95]), order[80:130], order[:50]):
-        assert error_of_a_frame(contact, solver, nodes, np.full(50, 50.0)) < 1e-6
-        assert set(nodes.tolist()) <= set(contact._columns)
-        assert len(contact._columns) <= 60
 
 
 def test_the_sparse_form_leaves_out_what_its_own_error_hides():

@@ -38,17 +38,6 @@ def test_equation_1_facet_by_facet():
     assert_allclose(surface.nodal_volumes, expected * surface.volume / surface.area, rtol=1e-14, atol=0.0)
 
 
-def test_vector_areas_of_a_box_edge_and_corner():
-    surface = SurfaceMesh(*box(4))
-    share = surface.vector_areas / surface.nodal_areas
-    on_sides = np.count_nonzero((surface.points == 0.0) | (surface.points == 1.0), axis=1)
-    assert_allclose(share[on_sides == 1], 1.0, rtol=1e-14, atol=0.0)
-    # equal areas on two faces of an edge; the corners' split depends on the diagonals
-    assert_allclose(share[on_sides == 2], np.sqrt(0.5), rtol=1e-14, atol=0.0)
-    equal = SurfaceMesh(*icosphere(0))
-    assert np.all(equal.vector_areas < equal.nodal_areas)
-
-
 @pytest.mark.anchor(
     "VDM: gradient of the volume", "g_i = sum A_f n_f / 3, by differences of the exact cubic V(s)"
 )
@@ -96,13 +85,6 @@ def test_cotangent_weights_of_a_regular_tetrahedron_and_a_flat_box():
     laplacian = grid.laplacian(grid.cotangent_weights) @ grid.points
     inside = np.count_nonzero((grid.points == 0.0) | (grid.points == 1.0), axis=1) == 1
     assert_allclose(laplacian[inside], 0.0, rtol=0.0, atol=1e-14)
-
-
-def test_negative_cotangents_are_clamped_and_counted():
-    points, triangles = icosphere(1, (1.0, 1.0, 0.05))
-    surface = SurfaceMesh(points, triangles)
-    assert surface.clamped_edges == np.count_nonzero(surface.raw_cotangent_weights < 0.0) > 0
-    assert surface.cotangent_weights.min() == 0.0
 
 
 def test_a_following_force_is_the_follower_pressure():

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.refine import refined
-from vdmbench.body.surface_measures import Surface, relative_l2, weighted_norm, without_motions
+from vdmbench.body.surface_measures import Surface, relative_l2
 from vdmbench.measures.metrics import METRICS, History, evaluate
 from vdmbench.measures.reference import level_scene, own_error, restricted
 from vdmbench.measures.uncertainty import reference_bar, stored_estimate
@@ -114,25 +114,6 @@ def test_own_error_of_a_known_sequence(scene: Scene, order: float) -> None:
     turned = own_error(surface, [level(h) for h in (0.1, -0.2 if order % 2 else 0.2, 0.4)], factors)
     behaviour = stored_estimate(turned).behaviour
     assert behaviour == ("oscillating" if order % 2 else "converging")
-
-
-def test_the_deformation_has_levels_of_its_own(scene: Scene) -> None:
-    """Levels u + h r + h^2 e, r a rigid motion: the displacement is of order 1 nearly, the deformation of 2."""
-    surface, coarse = surface_of(scene), models.run_model(scene, "fem-linear")
-    u, areas = coarse.displacement[-1], surface.areas
-    rigid = np.linalg.norm(u, axis=1).max() * np.array([1.0, 0.0, 0.0])
-    u *= 1e-4  # so little that a turn of finite size is an infinitesimal one
-    e = without_motions(surface.rigid_motions, 0.1 * u[None], areas)[0]
-
-    def level(h: float) -> ModelResult:
-        step = (u + h * rigid + h**2 * e)[None]
-        return dataclasses.replace(coarse, displacement=step, reaction_force=coarse.reaction_force[-1:])
-
-    error = own_error(surface, [level(h) for h in (0.1, 0.2, 0.4)], np.ones(1))
-    deformed = without_motions(surface.rigid_motions, level(0.1).displacement, areas)[0]
-    assert error["observed_order"] < 1.1
-    bar = 1.25 * 0.01 * weighted_norm(e, areas) / weighted_norm(deformed, areas)
-    assert_allclose(reference_bar(error, DEFORMATION), bar, rtol=1e-5, atol=0)
 
 
 def test_the_references_own_figures_are_judged_by_all_levels(scene: Scene) -> None:

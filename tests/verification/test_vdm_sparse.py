@@ -69,16 +69,6 @@ def test_a_coarse_surface_is_fine_where_the_fine_one_is():
     assert (even.points[:, 2] < -0.03).mean() < 0.5 * low.mean()
 
 
-def test_coarsening_does_not_depend_on_the_numbers_of_the_nodes_nor_on_size():
-    fine = SurfaceMesh(*icosphere(3, (0.08, 0.06, 0.05)))
-    points = fine.points + 1e-3 * np.random.default_rng(0).standard_normal(fine.points.shape)
-    shuffle = np.random.default_rng(1).permutation(len(points))
-    place = np.argsort(shuffle)
-    plain = coarsened(SurfaceMesh(points, fine.triangles), 300).surface
-    other = coarsened(SurfaceMesh(1e3 * points[shuffle], place[fine.triangles]), 300).surface
-    assert_allclose(1e-3 * np.sort(other.points[:, 0]), np.sort(plain.points[:, 0]), rtol=0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 def test_interpolation_keeps_linear_fields_and_gets_smooth_ones(shape):
     fine = SurfaceMesh(*shape)
@@ -120,13 +110,6 @@ def test_the_operator_is_symmetric_semi_definite_and_inverted_exactly(form):
     assert 1e-9 < np.abs(single - direct).max() / np.abs(direct).max() < 1e-4
 
 
-def test_what_the_coarse_nodes_can_follow_costs_what_it_costs_the_coarse_body(form):
-    z = np.random.default_rng(1).standard_normal((form.n_coarse, 3))
-    u = form.spread @ z
-    work = z.reshape(-1) @ form.body @ z.reshape(-1)
-    assert_allclose(np.vdot(u, form.apply(u)), work, rtol=1e-9, atol=0.0)
-
-
 def test_reactions_come_from_the_factor_and_are_those_of_the_operator(form):
     rng = np.random.default_rng(2)
     x = rng.standard_normal((ELLIPSOID.n_nodes, 3))
@@ -151,29 +134,6 @@ def test_with_all_nodes_in_the_coarse_body_it_is_the_boundary_form(nu):
         right = getattr(boundary, field)
         assert_allclose(getattr(whole, field), right, rtol=0.0, atol=1e-9 * np.abs(right).max())
     assert whole.parameters["scheme"] == "whole"
-
-
-def errors(surface: SurfaceMesh, counts: list[int], width: float) -> list[float]:
-    """Of coarse bodies against boundary elements on all nodes, under a patch; the lowest eighth is held."""
-    x, areas = surface.points, surface.nodal_areas[:, None]
-    fixed = x[:, 2] < x[:, 2].min() + 0.12 * np.ptp(x[:, 2])
-    middle = x[np.argmax(x @ [1.0, 0.0, 0.6])]
-    patch = Load(100.0 * np.clip(1.0 - np.square(x - middle).sum(axis=1) / width**2, 0.0, None))
-    answers = []
-    for count in counts:
-        coarse = count < surface.n_nodes
-        parameters = Parameters(shear_modulus=1667.0, coarse_nodes=count if coarse else None)
-        form = "bem-sparse" if coarse else "bem"
-        model = Model(x, surface.triangles, parameters, formulation=form, fixed=fixed)
-        answers.append(model.solve([patch]).displacement[0])
-    right = answers[-1]
-    size = (areas * right**2).sum()
-    return [float(np.sqrt((areas * (u - right) ** 2).sum() / size)) for u in answers[:-1]]
-
-
-def test_few_coarse_nodes_are_near_the_whole_form_on_a_graded_mesh():
-    (found,) = errors(graded(3, 2.5), [300, 642], width=0.03)
-    assert 1e-3 < found < 0.08
 
 
 def test_what_it_cannot_do_is_refused_with_a_remedy(form):
