@@ -26,14 +26,17 @@ def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
 
     Van Oosterom and Strackee 1983.
     """
+    nodes = points - points.mean(axis=0)  # near the middle, squares lose nothing to rounding
+    a, b, c = nodes[triangles].transpose(1, 0, 2)
+    faces, volumes = np.cross(a, b) + np.cross(b, c) + np.cross(c, a), (a * np.cross(b, c)).sum(axis=1)
     found = np.empty(len(places))
     for start in range(0, len(places), _ROWS):
-        arms = points[triangles][None] - places[start : start + _ROWS, None, None]
-        a, b, c = arms.transpose(2, 0, 1, 3)
-        la, lb, lc = (np.linalg.norm(arm, axis=2) for arm in (a, b, c))
-        triple = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
+        x = places[start : start + _ROWS] - points.mean(axis=0)
+        square = np.square(x).sum(axis=1)[:, None]
+        lengths = np.sqrt(np.maximum(np.square(nodes).sum(axis=1) - 2.0 * (x @ nodes.T) + square, 0.0))
+        la, lb, lc = (lengths[:, corner] for corner in triangles.T)
         below = la * lb * lc
         for one, other, length in ((a, b, lc), (b, c, la), (c, a, lb)):
-            below += np.einsum("nfi,nfi->nf", one, other) * length
-        found[start : start + _ROWS] = np.arctan2(triple, below).sum(axis=1) / (2.0 * np.pi)
+            below += ((one * other).sum(axis=1) - x @ (one + other).T + square) * length
+        found[start : start + _ROWS] = np.arctan2(volumes - x @ faces.T, below).sum(axis=1) / (2.0 * np.pi)
     return found

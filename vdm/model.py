@@ -175,8 +175,7 @@ class Model:
             solver, self.problem, constraint_method, penalty, volume_row, stop, tolerance
         )
         self.seconds_setup = time.perf_counter() - start
-        # how wrong the form is about a bending that is known: beyond the set-up, as an audit is beyond a step
-        self.bending_error = _bending_error(self.problem, self.solver)
+        self._judged: Problem | None = None
         self._mesh_error: MeshError | None = None
         self._is_warm = False
 
@@ -215,6 +214,7 @@ class Model:
         if isinstance(self.solver, PartsSolver) and loads:
             seconds_setup += self.solver.prepare(loads)
         self._warm_up(loads)
+        bending = self.bending_error
         for k, load in enumerate(loads):
             start = time.perf_counter()
             solved = self.solver.step(load, last)
@@ -233,7 +233,7 @@ class Model:
             path_error[k], mesh_error[k] = found.path, self._of_mesh(load, step)
             told.append(self.solver.scalars(load, step) if isinstance(self.solver, PartsSolver) else {})
             apart = told[-1].get("parts_error", np.nan)
-            status.append(reserved(last.status, self.bending_error, mesh_error[k], self.formulation, apart))
+            status.append(reserved(last.status, bending, mesh_error[k], self._solved.formulation, apart))
             for name, values in fields.items():
                 values[k] = self._point_field(name, step)
         return Solution(
@@ -258,14 +258,34 @@ class Model:
             part_of_node=self.solver.part_of_node if isinstance(self.solver, PartsSolver) else None,
         )
 
+    @property
+    def _solved(self) -> Problem:
+        """What is solved at small displacements: of a body in parts that of its parts."""
+        return self.solver.problem if isinstance(self.solver, PartsSolver) else self.problem
+
+    @property
+    def bending_error(self) -> float:
+        """How wrong the form is about a bending that is known: beyond the set-up, as an audit is beyond a step.
+
+        By the solver's factor, or by one for this where it has none; nan where no factor exists.
+        """
+        if self._judged is not self._solved:
+            self._judged, self._mesh_error = self._solved, None
+            try:
+                known = self.solver.factor if isinstance(self.solver, FactorSolver) else None
+                self._bending_error = bending_error(self._solved, known or BorderedFactor(self.problem))
+            except SolverError:
+                self._bending_error = np.nan
+        return self._bending_error
+
     def _of_mesh(self, load: Load, step: Step) -> float:
         """What the mesh leaves open of the answer to a load, see `vdm.mesh_error`; NaN of other forms."""
-        form = self.formulation
+        form = self._solved.formulation
         has_no_coarse_body = not isinstance(form, BoundaryFormulation) or form.parameters.ground is not None
         if has_no_coarse_body or not isinstance(self.solver, FactorSolver):
             return np.nan
         if self._mesh_error is None:
-            self._mesh_error = MeshError(self.problem, self.solver.factor)
+            self._mesh_error = MeshError(self._solved, self.solver.factor)
         return self._mesh_error.of(load, step if isinstance(self.solver, LinearSolver) else None)
 
     def _warm_up(self, loads: Sequence[Load]) -> None:
@@ -294,7 +314,7 @@ class Model:
             return condition_of_matrix(solver.printed, n_border)
         if isinstance(solver, FactorSolver):
             single = isinstance(solver, LinearSolver) and solver.precision == "single"
-            return condition_of_operator(self.problem, None if single else solver.factor)
+            return condition_of_operator(self._solved, None if single else solver.factor)
         return condition_of_operator(self.problem)
 
     def condition_scalars(self, n_steps: int) -> dict[str, Array]:
@@ -333,16 +353,6 @@ def _names(told: Sequence[dict[str, float]]) -> list[str]:
 
 def _results(step: Step) -> tuple[Array, Array, float]:
     return step.displacement, step.reaction_force, step.energy
-
-
-def _bending_error(problem: Problem, solver: Solver) -> float:
-    """By the solver's factor, or by one for this where it has none; nan where no factor exists."""
-    if isinstance(solver, FactorSolver):
-        return bending_error(problem, solver.factor)
-    try:
-        return bending_error(problem, BorderedFactor(problem))
-    except SolverError:
-        return np.nan
 
 
 def _make_solver(

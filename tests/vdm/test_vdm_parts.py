@@ -11,8 +11,10 @@ from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.parts.body import Parts
 from vdm.parts.caps import CutError, cap
 from vdm.parts.cut import cut, volume
+from vdm.parts.joined import JoinedFormulation
 from vdm.parts.solve import PartsSolver
 from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFactor
+from vdm.solvers.linear import LinearSolver
 
 Array = np.ndarray
 E, LENGTH, SIDE = 3e4, 0.1, 0.01
@@ -201,7 +203,7 @@ def test_a_beam_bends_as_the_elastica() -> None:
     assert found.scalars["parts"][0] >= 4
     assert found.scalars["parts_error"][0] < 0.03
     assert found.part_of_node is not None
-    own = model.solver._solver.body.cut.parts
+    own = model.solver.body.cut.parts
     facets = {tuple(row): k for k, part in enumerate(own, 1) for row in part.tolist()}
     assert [facets[tuple(row)] for row in BAR[1].tolist()] == found.part_of_node[BAR[1]].min(axis=1).tolist()
     strains = [found.scalars[f"strain_of_part_{k + 1}"][0] for k in range(len(own))]
@@ -223,3 +225,34 @@ def test_what_the_parts_do_not_follow_is_told() -> None:
     assert "follows small strain inside" in stretched.status[0].message
     assert not stretched.status[1].ok
     assert " % of this load step" in stretched.status[1].message
+
+
+def test_parts_at_small_displacements_are_one_body() -> None:
+    """Without a matrix of the whole: symmetric, solved by its factor, and 0.5 % from the whole body's."""
+    model = clamped(BAR, solver="linear")
+    body = Parts(model.problem, 4)
+    form, free = body.problem.formulation, np.repeat(body.problem.free, 3)
+    assert isinstance(form, JoinedFormulation)
+    x, y = np.random.default_rng(0).standard_normal((2, *BAR[0].shape))
+    assert np.vdot(y, form.apply(x)) == pytest.approx(np.vdot(x, form.apply(y)), rel=1e-10)
+    x[~body.problem.free] = 0.0
+    back = form.factor(body.problem.free).solve(form.apply(x).reshape(-1)[free])
+    assert_allclose(back, x.reshape(-1)[free], rtol=0.0, atol=1e-8)
+    load = at_tip(BAR[0], np.array([0.0, 0.0, 1e-6]))
+    whole = model.solve([load]).displacement[0]
+    found = LinearSolver(body.problem, factor=body.factor).step(load).displacement
+    assert np.linalg.norm(found - whole) < 0.005 * np.linalg.norm(whole)
+
+
+def test_a_body_that_parts_are_cut_of_is_not_made_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[int] = []
+    make = BoundaryFormulation._dense
+    monkeypatch.setattr(
+        BoundaryFormulation,
+        "_dense",
+        lambda form, rims, held: (sizes.append(rims.body.n_nodes), make(form, rims, held))[1],
+    )
+    found = clamped(BAR).solve([at_tip(BAR[0], np.array([0.0, 0.0, -6e-3]))])
+    assert found.status[0].ok
+    assert found.scalars["parts"][0] > 1
+    assert max(sizes) < len(BAR[0])

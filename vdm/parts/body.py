@@ -35,9 +35,12 @@ from vdm.constraints import Load
 from vdm.deformed import DeformableSurface, DeformedSurface, best_rotation
 from vdm.formulations.base import Factor
 from vdm.parts.cut import cut
-from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFactor, moments, turned_back
+from vdm.parts.joined import JoinedFormulation
+from vdm.parts.part import Nothing, Part, condensed, dofs
+from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, moments, turned_back
 from vdm.problem import Problem
 from vdm.solution import Status
+from vdm.solvers.linear import BorderedFactor
 from vdm.solvers.nonlinear import Balance
 from vdm.surface import SurfaceMesh
 
@@ -52,39 +55,6 @@ LARGEST_STRAIN = 0.1
 # (3, 9): v @ _TURNED is (3, 3) with e_k x v in column k
 _TURNED = np.cross(np.eye(3)[None], np.eye(3)[:, None]).transpose(0, 2, 1).reshape(3, 9)
 BORDER = 7  # unknowns of a part beside displacements: its pressure and what its turning adds, six
-
-
-@dataclass(frozen=True)
-class _Part:
-    """One of the parts: n nodes of the body, of which some are inner and free (I), some shared and free (C).
-
-    Attributes
-    ----------
-    nodes : (n,) of the body
-    form : its stiffness
-    body : its surface, ready to be deformed
-    inner, shared : masks (n,) of I and C
-    owns : mask (n,) of the nodes of the body's surface that turn with it
-    walls : (F, k) whether its facets are of the wall of each cavity that a fluid fills
-    areas : (n,) shares of its nodes in its surface
-    places : (n_C,) of the shared nodes among all shared ones
-    block : factor of S_II
-    follows : (3 n_I, 3 n_C) T
-    carried : (3 n_C, 3 n_C) S_CC - S_CI T
-    """
-
-    nodes: Index
-    form: BoundaryFormulation
-    body: DeformableSurface
-    inner: Mask
-    shared: Mask
-    places: Index
-    owns: Mask
-    walls: Mask
-    areas: Array
-    block: Factor
-    follows: Array
-    carried: Array
 
 
 @dataclass(frozen=True)
@@ -143,6 +113,11 @@ class Parts:
     Nodes of the problem's surface come first, those inside after them. One part is the problem's own formulation.
     The pressures are those of the parts, and after them of the cavities that a fluid fills.
 
+    Attributes
+    ----------
+    problem : at small displacements too, that of the parts
+    factor : of that problem
+
     Raises
     ------
     SolverError
@@ -151,8 +126,7 @@ class Parts:
 
     has_slope = True
 
-    def __init__(self, problem: Problem, count: int, block: Factor | None = None) -> None:
-        self.problem = problem
+    def __init__(self, problem: Problem, count: int) -> None:
         whole = problem.formulation
         assert isinstance(whole, BoundaryFormulation)
         surface, held = whole.surface, problem.support.held
@@ -181,8 +155,8 @@ class Parts:
         self._ground_joining = np.zeros((3 * self._n_shared, 3 * self._n_shared))
         if self._ground is not None:
             sprung = np.flatnonzero(shared[: surface.n_nodes])
-            at = _dofs(place[sprung])
-            self._ground_joining[np.ix_(at, at)] = self._ground[_dofs(sprung)][:, _dofs(sprung)].toarray()
+            at = dofs(place[sprung])
+            self._ground_joining[np.ix_(at, at)] = self._ground[dofs(sprung)][:, dofs(sprung)].toarray()
         # of the part that a node of the surface turns with, where a load follows it
         self.owner = np.zeros(n, np.int64)
         for number, triangles in enumerate(self.cut.parts):
@@ -191,7 +165,11 @@ class Parts:
         parameters = replace(whole.parameters, ground=None, fluid_in_cavities=False)
         of_shell = np.zeros(n, np.int64)  # nodes of caps are of none, and so are facets with one of them
         of_shell[surface.triangles] = surface.shells[:, None]
-        self.parts: list[_Part] = []
+        self.problem, block = problem, None
+        if self.n_parts == 1:
+            self.factor = BorderedFactor(problem)
+            block = self.factor.block
+        self.parts: list[Part] = []
         for number, triangles in enumerate(self.cut.parts):
             nodes, local = np.unique(triangles, return_inverse=True)
             walls = of_shell[triangles].min(axis=1)[:, None] == 1 + np.arange(self._n_filled)
@@ -206,7 +184,7 @@ class Parts:
             on_surface = nodes < surface.n_nodes
             owns[on_surface] = self.owner[nodes[on_surface]] == number
             inner = self.free[nodes] & ~shared[nodes]
-            part = _condensed(
+            part = condensed(
                 form, nodes, inner, shared[nodes], owns, walls, place[nodes[shared[nodes]]], block
             )
             self.parts.append(part)
@@ -229,7 +207,12 @@ class Parts:
         self._slope: _Slope | None = None
         self._lacked = np.inf  # at the last correction, and under which load
         self._load: Load | None = None
-        self._factor: Factor = _Nothing()
+        self._factor: Factor = Nothing()
+        if self.n_parts > 1:
+            self._joined_at(np.tile(np.eye(3), (self.n_parts, 1, 1)))
+            form = JoinedFormulation(whole, self.parts, self._shared, self._factor)
+            self.problem = replace(problem, formulation=form)
+            self.factor = BorderedFactor(self.problem)
 
     def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
         """As in `Large`."""
@@ -401,8 +384,8 @@ class Parts:
         matrix = self._ground_joining.copy()
         for part, q in zip(self.parts, turns, strict=True):
             if len(part.places):
-                dofs = _dofs(part.places)
-                matrix[np.ix_(dofs, dofs)] += _turned_block(part.carried, q)
+                at = dofs(part.places)
+                matrix[np.ix_(at, at)] += _turned_block(part.carried, q)
         if len(matrix):
             self._factor = DenseFactor(matrix)
         self._turns = turns
@@ -466,47 +449,9 @@ class Parts:
         return status
 
 
-def _condensed(
-    form: BoundaryFormulation,
-    nodes: Index,
-    inner: Mask,
-    shared: Mask,
-    owns: Mask,
-    walls: Mask,
-    places: Index,
-    block: Factor | None,
-) -> _Part:
-    """A part whose inner nodes are eliminated; `block` is their factor, without the swelling, where it is known."""
-    follows = carried = np.zeros((0, 0))
-    i, c = _dofs(np.flatnonzero(inner)), _dofs(np.flatnonzero(shared))
-    swelling = form.swelling
-    assert swelling is not None
-    if not len(i):
-        solver: Factor = _Nothing()
-    elif shared.any():
-        solver = DenseFactor(form.matrix[np.ix_(i, i)] + swelling.block(i, i))
-    else:
-        solver = SwollenFactor(block or form.factor(inner), swelling, i)
-    if shared.any():
-        coupling = form.matrix[np.ix_(i, c)] + swelling.block(i, c)
-        follows = np.asarray(solver.solve(np.asfortranarray(coupling)))
-        carried = form.matrix[np.ix_(c, c)] + swelling.block(c, c) - coupling.T @ follows
-        carried = 0.5 * (carried + carried.T)
-    areas = form.surface.nodal_areas / form.surface.area
-    body = DeformableSurface(form.surface)
-    return _Part(nodes, form, body, inner, shared, places, owns, walls, areas, solver, follows, carried)
-
-
 def _angles(traces: Array) -> Array:
     """Of rotations by their traces [rad]."""
     return np.asarray(np.arccos(np.clip((traces - 1.0) / 2.0, -1.0, 1.0)))
-
-
-class _Nothing:
-    """The factor of no unknowns: of a part without inner nodes that are free, of parts that share none."""
-
-    def solve(self, right_hand_side: Array) -> Array:
-        return right_hand_side
 
 
 def _turned_block(matrix: Array, q: Array) -> Array:
@@ -514,12 +459,6 @@ def _turned_block(matrix: Array, q: Array) -> Array:
     n = len(matrix)
     half = (matrix.reshape(n, -1, 3) @ q).reshape(n, n)
     return (half.T.reshape(n, -1, 3) @ q).reshape(n, n)
-
-
-def _dofs(nodes: Index) -> Index:
-    """(3n,) unknowns of nodes."""
-    dofs: Index = (3 * nodes[:, None] + np.arange(3)).reshape(-1)
-    return dofs
 
 
 def _rim(surface: SurfaceMesh, held: Mask) -> Mask | None:
@@ -536,7 +475,7 @@ def parts_wanted(surface: SurfaceMesh, displacement: Array) -> int:
 
     By the small rotations that best fit `FINEST` pieces of the surface, the largest between two of them.
     """
-    pieces = cut(surface.points, surface.triangles, FINEST).parts
+    pieces = cut(surface.points, surface.triangles, FINEST, crossing=True).parts
     turns = np.array([_small_rotation(surface, nodes, displacement) for nodes in map(np.unique, pieces)])
     spread = float(np.linalg.norm(turns[:, None] - turns[None], axis=2).max())
     return 1 if spread <= MOST_TURN else 2 ** int(np.ceil(np.log2(spread / MOST_TURN)))

@@ -39,11 +39,14 @@ class Cut:
     refused: str = ""
 
 
-def cut(points: Array, triangles: Index, count: int, apart: Mask | None = None) -> Cut:
+def cut(
+    points: Array, triangles: Index, count: int, apart: Mask | None = None, *, crossing: bool = False
+) -> Cut:
     """Cut the closed surface of N nodes into at least `count` parts, the largest first.
 
     A fork may fall into more. Where no plane serves, fewer are made, and `Cut.refused` says why. `apart` (N,) marks
-    nodes that a cut keeps two edges away from where another plane allows it: rims of supports and of loads.
+    nodes that a cut keeps two edges away from where another plane allows it: rims of supports and of loads. Caps
+    may be `crossing` the surface where only its pieces are looked at: that none does is most of the work.
     """
     parts, refused = [triangles], ""
     surface = np.asarray(points, np.float64)
@@ -52,7 +55,7 @@ def cut(points: Array, triangles: Index, count: int, apart: Mask | None = None) 
         order = sorted(range(len(parts)), key=lambda k: -len(parts[k]))
         for largest in (k for k in order if k not in final):
             try:
-                surface, pieces = _halved(surface, parts[largest], apart)
+                surface, pieces = _halved(surface, parts[largest], apart, crossing)
             except CutError as error:
                 refused = f"{error}"
                 parts[largest], final = parts[largest], final | {largest}
@@ -65,7 +68,7 @@ def cut(points: Array, triangles: Index, count: int, apart: Mask | None = None) 
     return Cut(surface, tuple(parts))
 
 
-def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array, list[Index]]:
+def _halved(points: Array, triangles: Index, apart: Mask | None, crossing: bool) -> tuple[Array, list[Index]]:
     """The points with those of the caps, and the pieces of a part cut across its longest axis.
 
     Raises
@@ -85,22 +88,21 @@ def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array,
     places = arms @ normal
     order = np.argsort(places, kind="stable")
     share = np.cumsum(areas[order]) / areas.sum()
-    first: CutError | None = None
-    second_best: tuple[Array, list[Index]] | None = None
+    borders, first = list[tuple[bool, list[Index], Mask]](), list[CutError]()
     for shift in SHIFTS:
         plane = places[order][np.searchsorted(share, 0.5 + shift)]
         try:
             loops, labels = _loops(triangles, places > plane, len(points))
-            found = _closed(points, triangles, labels, loops, normal)
         except CutError as error:
-            first = first or error
+            first.append(error)
             continue
-        if apart is None or not _near(triangles, loops, apart, len(points)):
-            return found
-        second_best = second_best or found
-    if second_best is not None:
-        return second_best
-    raise first or CutError("no plane cuts the part")
+        borders.append((apart is not None and _near(triangles, loops, apart, len(points)), loops, labels))
+    for _, loops, labels in sorted(borders, key=lambda border: border[0]):  # those that keep away come first
+        try:
+            return _closed(points, triangles, labels, loops, normal, crossing)
+        except CutError as error:
+            first.append(error)
+    raise first[0]
 
 
 def _near(triangles: Index, loops: list[Index], apart: Mask, n: int) -> bool:
@@ -113,11 +115,12 @@ def _near(triangles: Index, loops: list[Index], apart: Mask, n: int) -> bool:
 
 
 def _closed(
-    points: Array, triangles: Index, labels: Mask, loops: list[Index], normal: Array
+    points: Array, triangles: Index, labels: Mask, loops: list[Index], normal: Array, crossing: bool
 ) -> tuple[Array, list[Index]]:
     new, facets = cap(points, loops, normal)
     grown = np.vstack([points, new])
-    _check_inside(grown, triangles, loops, facets, len(points))
+    if not crossing:
+        _check_inside(grown, triangles, loops, facets, len(points))
     sides = (np.vstack([triangles[~labels], facets]), np.vstack([triangles[labels], facets[:, ::-1]]))
     pieces = [piece for side in sides for piece in _bodies(grown, side)]
     if min(map(len, pieces)) < SMALLEST:

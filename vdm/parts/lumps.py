@@ -20,6 +20,7 @@ from solver_common.arrays import Array, Index, Mask
 from vdm.boundary.refinement import take_over
 from vdm.boundary.rims import Rims
 from vdm.material import INCOMPRESSIBLE
+from vdm.parts.part import dofs
 from vdm.peers.bem import MAX_NODES, BoundaryFormulation, too_large
 from vdm.solution import SolverError
 
@@ -95,8 +96,8 @@ class _Regions:
         stiffness = modulus * surface_stiffness(facets, ratio, self.dtype)
         rigid = _rigid(facets.points)
         take_over(stiffness, rigid, np.zeros_like(rigid))
-        dofs = _dofs(nodes)
-        self.matrix[np.ix_(dofs, dofs)] += stiffness
+        at = dofs(nodes)
+        self.matrix[np.ix_(at, at)] += stiffness
         vectors = np.zeros((len(self.points), 3))
         thirds = np.repeat(facets.areas[:, None] * facets.normals / 3.0, 3, axis=0)
         np.add.at(vectors, triangles.ravel(), thirds)
@@ -108,7 +109,7 @@ class _Regions:
             swollen[:, :, :3] -= 0.5 * np.square(x).sum(axis=1)[:, None, None] * np.eye(3)
             bulk = 2.0 * modulus * (1.0 + ratio) / (3.0 * (1.0 - 2.0 * ratio))
             push = push - stiffness @ swollen.reshape(-1, 4) / (3.0 * bulk)
-        self.weight[dofs] += push
+        self.weight[at] += push
         return vectors
 
 
@@ -187,9 +188,3 @@ def _rigid(points: Array) -> Array:
         [np.tile(np.eye(3), (len(arms), 1, 1)), np.cross(np.eye(3), arms[:, None]).transpose(0, 2, 1)], axis=2
     )
     return np.asarray(np.linalg.qr(motions.reshape(-1, 6))[0])
-
-
-def _dofs(nodes: Index) -> Index:
-    """(3n,) unknowns of nodes."""
-    dofs: Index = (3 * nodes[:, None] + np.arange(3)).reshape(-1)
-    return dofs

@@ -12,6 +12,8 @@ from solver_common.arrays import Index
 from vdm.constraints import Load
 from vdm.material import MOST_PARTS
 from vdm.parts.body import Parts, parts_wanted
+from vdm.peers.bem import BoundaryFormulation
+from vdm.peers.bem_sparse import RoughFormulation
 from vdm.problem import Problem, Step
 from vdm.solution import SolverError
 from vdm.solvers.audit import Audit
@@ -31,48 +33,79 @@ class PartsSolver:
     """
 
     def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self.factor = BorderedFactor(problem)
-        self._linear = LinearSolver(problem, factor=self.factor)
+        self._whole = problem
         self._solvers: dict[int, NonlinearSolver] = {}
         self._given = problem.formulation.parameters.parts
         self._finer: NonlinearSolver | None = None
         self._finer_step: Step | None = None
-        self._solver = self._of(self._given or 1)
+        self._solver: NonlinearSolver | None = None
+
+    @property
+    def solver(self) -> NonlinearSolver:
+        """Of as many parts as the loads needed that it was prepared for, or of one."""
+        if self._solver is None:
+            self._solver = self._of(self._given or 1)
+        return self._solver
+
+    @property
+    def body(self) -> Parts:
+        """Its parts."""
+        assert isinstance(self.solver.body, Parts)
+        return self.solver.body
+
+    @property
+    def problem(self) -> Problem:
+        """At small displacements, of as many parts."""
+        return self.solver.problem
+
+    @property
+    def factor(self) -> BorderedFactor:
+        """Of that problem."""
+        return self.solver.factor
 
     def prepare(self, loads: Sequence[Load]) -> float:
-        """Cut the body as its loads need; the seconds that this took."""
+        """Cut the body as its loads need; the seconds that this took.
+
+        A guess, by a coarse body, saves the whole one where it is not needed: how many parts there are is read
+        from a linear answer of the parts themselves.
+        """
         start = time.perf_counter()
-        surface, load = self.problem.formulation.surface, self._unturned(self._largest(loads))
-        wanted = parts_wanted(surface, self._linear.step(load).displacement)
-        count = self._given or min(wanted, MOST_PARTS)
-        self._solver = self._of(count)
-        body = self._solver.body
-        assert isinstance(body, Parts)
-        body.wanted = 1 if self._given else wanted
+        surface, load = self._whole.formulation.surface, self._unturned(self._largest(loads))
+
+        def wanted(linear: LinearSolver) -> int:
+            return parts_wanted(surface, linear.step(load).displacement)
+
+        if self._given:
+            self._solver = self._of(self._given)
+        else:
+            guess = _guess(self._whole)
+            count = 1 if guess is None else min(wanted(guess), MOST_PARTS)
+            self._solver = self._of(count)
+            needed = wanted(LinearSolver(self.problem, factor=self.factor))
+            if min(needed, MOST_PARTS) != count:
+                self._solver = self._of(min(needed, MOST_PARTS))
+            self.body.wanted = needed
         seconds = time.perf_counter() - start
         self._finer = self._finer_step = None
-        if self._given or body.n_parts > 1:
+        if self._given or self.body.n_parts > 1:
             try:
-                self._finer = self._of(2 * body.n_parts)
+                self._finer = self._of(2 * self.body.n_parts)
             except SolverError:
                 self._finer = None
         return seconds
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
         """Solution of one load."""
-        return self._solver.step(load, previous)
+        return self.solver.step(load, previous)
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
         """The step and what its balance on the deformed surface lacks."""
-        return self._solver.audited(load, step)
+        return self.solver.audited(load, step)
 
     @property
     def part_of_node(self) -> Index | None:
         """See `Solution.part_of_node`."""
-        body = self._solver.body
-        assert isinstance(body, Parts)
-        return body.owner + 1 if body.n_parts > 1 else None
+        return self.body.owner + 1 if self.body.n_parts > 1 else None
 
     def scalars(self, load: Load, step: Step) -> dict[str, float]:
         """What is told of a step beside its displacement: see `Parts.scalars`, and `parts_error`.
@@ -81,11 +114,11 @@ class PartsSolver:
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return {}
-        found = self._solver.body.scalars(step.balance)
-        if self._finer is None or self._finer.body.n_pressures == self._solver.body.n_pressures:
+        found = self.body.scalars(step.balance)
+        if self._finer is None or self._finer.body.n_pressures == self.body.n_pressures:
             return found
         self._finer_step = self._finer.step(load, self._finer_step)
-        area = self.problem.formulation.surface.nodal_areas[:, None]
+        area = self._whole.formulation.surface.nodal_areas[:, None]
         other = self._finer_step.displacement
         size = float(np.sqrt((area * other**2).sum()))
         apart = float(np.sqrt((area * (other - step.displacement) ** 2).sum()))
@@ -94,14 +127,14 @@ class PartsSolver:
     def _largest(self, loads: Sequence[Load]) -> Load:
         def size(load: Load) -> float:
             return float(
-                np.linalg.norm(self.problem.force(load)) + np.linalg.norm(self.problem.held_unknown(load))
+                np.linalg.norm(self._whole.force(load)) + np.linalg.norm(self._whole.held_unknown(load))
             )
 
         return max(loads, key=size)
 
     def _unturned(self, load: Load) -> Load:
         """The load in the frame of its supports: what turns with them does not bend the body."""
-        problem, rest = self.problem, self.problem.body.rest
+        problem, rest = self._whole, self._whole.body.rest
         held = problem.held_unknown(load)
         if not held.any():
             return load
@@ -112,6 +145,22 @@ class PartsSolver:
 
     def _of(self, count: int) -> NonlinearSolver:
         if count not in self._solvers:
-            body = Parts(self.problem, count, self.factor.block)
-            self._solvers[count] = NonlinearSolver(self.problem, body, self.factor)
+            body = Parts(self._whole, count)
+            self._solvers[count] = NonlinearSolver(body.problem, body, body.factor)
         return self._solvers[count]
+
+
+def _guess(problem: Problem) -> LinearSolver | None:
+    """What answers about as the problem's body of boundary elements, at a few per cent of its costs."""
+    form = problem.formulation
+    if (
+        type(form) is not BoundaryFormulation
+        or form.parameters.ground is not None
+        or form.surface.shells.any()
+    ):
+        return None
+    try:
+        coarse = RoughFormulation(form.surface, form.parameters, problem.support.held)
+        return LinearSolver(replace(problem, formulation=coarse))
+    except (SolverError, np.linalg.LinAlgError):  # of a mesh that is hardly more than its supports
+        return None

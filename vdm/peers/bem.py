@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg, sparse
@@ -65,7 +66,6 @@ class BoundaryFormulation(DisplacementFormulation):
     """
 
     name = "bem"
-    matrix: Array
     swelling: Swelling | None = None
     _rims: Rims
 
@@ -109,13 +109,20 @@ class BoundaryFormulation(DisplacementFormulation):
         compile_for(surface.n_nodes)
 
     def _assemble(self, held: Mask) -> None:
+        self._held, self._rims = held, Rims.of(self.surface, held, self._shared)
+
+    @cached_property
+    def matrix(self) -> Array:
+        """(3N, 3N) S, made when it is first asked for: of a body in parts nothing does."""
         if self.surface.n_nodes > MAX_NODES:
             raise SolverError(too_large(self.surface.n_nodes))
-        self.matrix = self._refined(held)
+        try:
+            return self._refined(self._held)
+        except linalg.LinAlgError as error:
+            raise SolverError(INDEFINITE) from error
 
     def _refined(self, held: Mask) -> Array:
         """(3N, 3N) S of the surface, cut along the rims of what is held."""
-        self._rims = Rims.of(self.surface, held, self._shared)
         near = np.concatenate([held, np.zeros(self.resolved.n_nodes - len(held), np.bool_)])
         return self._dense(self._rims, near)
 
@@ -173,6 +180,10 @@ class BoundaryFormulation(DisplacementFormulation):
         dofs = np.repeat(free, 3)
         return DenseFactor(self._grounded(self.matrix[np.ix_(dofs, dofs)], free))
 
+    def projected(self, spread: sparse.csr_array) -> Array:
+        """(m, m) P^T S P of displacements P (3N, m)."""
+        return np.asarray(spread.T @ (spread.T @ self.matrix).T)
+
     def stiffness(self) -> sparse.csr_array:
         return sparse.csr_array(self._grounded(self.matrix.copy(), np.ones(self.surface.n_nodes, np.bool_)))
 
@@ -194,6 +205,8 @@ class BoundaryFormulation(DisplacementFormulation):
         return self._rims.surface
 
     def carried(self, force: Array) -> Array:
+        if len(self._rims.follows):
+            _ = self.matrix  # what follows at the rims is known with it
         return self._rims.carried(force)
 
     def pressure_force(self, pressure: Array) -> Array:
@@ -232,6 +245,11 @@ class BoundaryFormulation(DisplacementFormulation):
         """The same of k displacements (N, 3, k) at once."""
         force = self.elastic_forces(x)
         return force if self.swelling is None else force + self.swelling.forces(x)
+
+    def swollen_block(self, rows: Index, columns: Index) -> Array:
+        """The block of S and its swelling of some unknowns."""
+        block: Array = self.matrix[np.ix_(rows, columns)]
+        return block if self.swelling is None else block + self.swelling.block(rows, columns)
 
     def unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
         """The best-fit rotation Q of the nodes and the displacement left after it is undone."""

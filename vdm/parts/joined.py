@@ -1,0 +1,139 @@
+"""A body in parts at small displacements: their stiffnesses add up, and the nodes inside follow.
+
+With A the sum of the parts' S_e at all nodes, and H_e their area vectors less the share V_e / V of the body's,
+nodes c of the caps and pressures q of all parts but the last follow from what the surface o does,
+
+`A_cc u_c - H_c q = -A_co u_o`, `H_c^T u_c = -H_o^T u_o`: parts swell as the body does,
+
+and `A_oo u_o + A_oc u_c - H_o q` is the force on the surface. No matrix of the whole body is made: caps are few,
+and free nodes are eliminated part by part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg, sparse
+
+from solver_common.arrays import Array, Mask
+from vdm.boundary.rims import Rims
+from vdm.formulations.base import Factor, Factorise
+from vdm.parts.part import Part, dofs
+from vdm.peers.bem import DENSE, BoundaryFormulation
+from vdm.solution import SolverError
+from vdm.solvers.cholesky import Cholesky
+
+
+class JoinedFormulation(BoundaryFormulation):
+    """A `BoundaryFormulation` of an incompressible body by those of its parts, each swelling at no cost."""
+
+    has_matrix = False
+
+    def __init__(
+        self, whole: BoundaryFormulation, parts: Sequence[Part], shared: Mask, joined: Factor
+    ) -> None:
+        """`shared` (n,) nodes are the parts' C together, `joined` the factor of what those carry at rest."""
+        self._parts, self._shared_nodes, self._joined = parts, shared, joined
+        super().__init__(whole.surface, whole.parameters)
+        n_surface = whole.surface.n_nodes
+        self._n_caps = len(shared) - n_surface
+        volumes = np.array([part.form.surface.volume for part in parts])
+        columns = np.zeros((len(shared), 3, len(parts)))
+        own = np.zeros((3 * self._n_caps,) * 2)
+        for e, part in enumerate(parts):
+            columns[part.nodes, :, e] = part.form.surface.area_vectors
+            on = np.flatnonzero(part.nodes >= n_surface)
+            here, there = (dofs(nodes) for nodes in (on, part.nodes[on] - n_surface))
+            own[np.ix_(there, there)] += part.form.swollen_block(here, here)
+        shares = volumes / volumes.sum()
+        self._apart = (columns - columns.sum(axis=2, keepdims=True) * shares)[:, :, :-1]
+        pressed = self._apart[n_surface:].reshape(len(own), -1)
+        self._caps = linalg.lu_factor(
+            np.block([[own, -pressed], [pressed.T, np.zeros((pressed.shape[1],) * 2)]]), check_finite=False
+        )
+
+    def _assemble(self, held: Mask) -> None:
+        self._rims = Rims.of(self.surface, held)  # of none: the parts have theirs
+
+    @property
+    def n_coarse(self) -> int:
+        return self.surface.n_nodes
+
+    def elastic_force(self, x: Array) -> Array:
+        return self.elastic_forces(x[:, :, None])[:, :, 0]
+
+    def elastic_forces(self, x: Array) -> Array:
+        n, k = len(x), x.shape[2]
+        moved = np.concatenate([x, np.zeros((self._n_caps, 3, k))])
+        force = self._of_parts(moved)
+        pressed = self._apart.reshape(-1, self._apart.shape[2])
+        met = pressed.T @ moved.reshape(-1, k)
+        follows = linalg.lu_solve(self._caps, -np.vstack([force[n:].reshape(-1, k), met]), check_finite=False)
+        caps, pressures = np.split(follows, [3 * self._n_caps])
+        moved = np.concatenate([np.zeros_like(x), caps.reshape(-1, 3, k)])
+        force += self._of_parts(moved)
+        return np.asarray(force[:n] - self._apart[:n] @ pressures)
+
+    def _of_parts(self, x: Array) -> Array:
+        """Forces (n, 3, k) of displacements at all nodes, those of caps too."""
+        force = np.zeros_like(x)
+        for part in self._parts:
+            force[part.nodes] += part.form.swollen_forces(x[part.nodes])
+        return force
+
+    def projected(self, spread: sparse.csr_array) -> Array:
+        m = spread.shape[1]
+        moved = spread.toarray().reshape(-1, 3, m)
+        return np.asarray(spread.T @ self.elastic_forces(moved).reshape(-1, m))
+
+    def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
+        if factorise is not Cholesky:
+            raise SolverError(DENSE)
+        return JoinedFactor(self._parts, self._shared_nodes, self._joined, self._apart, free)
+
+    def diagonal(self) -> Array:
+        """Without what the caps give way."""
+        own = np.zeros((len(self._shared_nodes), 3))
+        for part in self._parts:
+            own[part.nodes] += np.diagonal(part.form.matrix).reshape(-1, 3)
+        found: Array = own[: self.surface.n_nodes].reshape(-1)
+        ground = self.parameters.ground
+        return found if ground is None else found + ground.diagonal()
+
+
+class JoinedFactor:
+    """Of all parts at rest over the free nodes: what parts share, then each part's inner nodes.
+
+    Pressures that keep the parts' shares of the volume are a border of their own.
+    """
+
+    def __init__(self, parts: Sequence[Part], shared: Mask, joined: Factor, apart: Array, free: Mask) -> None:
+        self._parts, self._joined, self._shared = parts, joined, np.repeat(shared, 3)
+        self._unknowns = np.zeros(3 * len(shared), np.bool_)
+        self._unknowns[: 3 * len(free)] = np.repeat(free, 3)
+        self._columns = apart.reshape(len(self._unknowns), -1)
+        self._answers = self._answer(self._columns)
+        self._schur = self._columns.T @ self._answers
+
+    def solve(self, right_hand_side: Array) -> Array:
+        """Solution of (n_free 3,) or (n_free 3, m) right-hand sides."""
+        force = np.zeros((len(self._unknowns), *right_hand_side.shape[1:]))
+        force[self._unknowns] = right_hand_side
+        moved = self._answer(force)
+        pressures = np.linalg.solve(self._schur, self._columns.T @ moved)
+        return np.asarray(moved[self._unknowns] - self._answers[self._unknowns] @ pressures)
+
+    def _answer(self, force: Array) -> Array:
+        """What forces (3n,) or (3n, m) at all nodes move, without the border."""
+        inside, right = list[Array](), force[self._shared]
+        for part in self._parts:
+            own = force[dofs(part.nodes[part.inner])]
+            inside.append(np.asarray(part.block.solve(np.asfortranarray(own))))
+            right[dofs(part.places)] -= part.follows.T @ own
+        together = np.asarray(self._joined.solve(np.asfortranarray(right)))
+        moved = np.zeros_like(force)
+        moved[self._shared] = together
+        for part, own in zip(self._parts, inside, strict=True):
+            moved[dofs(part.nodes[part.inner])] = own - part.follows @ together[dofs(part.places)]
+        return moved
