@@ -15,8 +15,7 @@ from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING
 from ..verdict.palette import COLOURS
 from .blocks import Cell, Column, Figure, Figures, Section, Table
-from .document import asset
-from .page import every_section
+from .page import asset, every_section
 from .plots import shape
 from .section_scene import scene
 from .svg import MARKER_PATHS

@@ -158,8 +158,7 @@ def _drift(spread: Spread | None) -> Cell | None:
 
 def _time(digest: Digest, name: str, seconds: float, *, frame: bool = False) -> Cell | None:
     cost, everywhere = digest.costs[name], digest.costs[name].everywhere
-    how = ["iterative"] if frame and cost.iterative else []
-    how += [f"{quantity(everywhere, 's')} all nodes"] if frame and math.isfinite(everywhere) else []
+    how = [f"{quantity(everywhere, 's')} all nodes"] if frame and math.isfinite(everywhere) else []
     return Cell(quantity(seconds, "s"), "\n".join([*how, *cost.marks]), seconds)
 
 

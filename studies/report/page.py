@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
+import re
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 
 from ..machine import write_atomically
 from ..measures.case import Run
@@ -14,10 +22,11 @@ from ..study.registry import load_all
 from ..verdict.digest import Digest, digest_of
 from ..verdict.formatting import plural
 from ..verdict.verdict import verdicts
-from ..verdict.words import told
+from ..verdict.words import BESIDE, told
 from . import headline, picture
-from .blocks import Section
-from .document import Head, encoded, html_document
+from .blocks import Section, Viewer
+from .picture import COLOUR_MAPS
+from .plots import shape
 from .section_appendix import how_to_reproduce, provenance
 from .section_cases import case_table, failures
 from .section_cost import run_time_against_error
@@ -29,6 +38,7 @@ from .section_measurement import against_measurement
 from .section_measures import all_measures
 from .section_scene import scene
 from .section_view import heading, still, surfaces
+from .svg import MARKER_PATHS
 
 
 class PictureError(ValueError):
@@ -36,6 +46,9 @@ class PictureError(ValueError):
 
 
 MOST_BYTES = 5_000_000
+_STOPS = 12  # of a colour map where it is a gradient
+_NAME = re.compile(r"\b[a-z]+(?:-[a-z0-9:]+)+|\b[a-z_]+(?:\.[a-z0-9_]+)+")  # of a model or a key
+_TEMPLATES = Path(__file__).parent / "templates"
 
 Make = Callable[[Digest], Section | None]
 
@@ -111,30 +124,29 @@ def _made(digest: Digest, makers: Sequence[Make]) -> list[Section]:
 
 
 def _page_html(digest: Digest, *, stills: bool) -> str:
-    run, found = digest.run, verdicts(digest)
+    found, words = verdicts(digest), told(verdicts(digest))
     before, after = _made(digest, BEFORE), _made(digest, _after())
-    head = Head(
-        told(found),
-        {name: digest.colour(name) for name in digest.models},
-        headline.what_to_take(found),
-        headline.against_limits(found, digest),
-        scene(digest),
-    )
-
-    def page(sections: list[Section]) -> str:
-        return html_document(
-            title=run.study.study.title,
-            name=run.study.study.name,
-            head=head,
-            cases=[digest.case_name(case) for case in digest.cases],
-            counts=_counts(run),
-            models=digest.legend,
-            sections=sections,
-        )
-
+    study = digest.run.study.study
+    head = {
+        "title": study.title,
+        "name": study.name,
+        "counts": _counts(digest.run),
+        "told": words,
+        "further": [answer for answer in words.further if answer.question not in BESIDE],
+        "colours": {name: digest.colour(name) for name in digest.models},
+        "take": headline.what_to_take(found),
+        "limits": headline.against_limits(found, digest),
+        "scene": scene(digest),
+        "cases": json.dumps([digest.case_name(case) for case in digest.cases]),
+        "style": asset("page.css"),
+    }
     text = ""
     for view in surfaces(digest, stills=stills):
-        text = page([*before, *view, *after])
+        sections = [*before, *view, *after]
+        viewed = any(isinstance(b, Viewer) and b.payload for section in sections for b in section.blocks)
+        scripts = _scripts() if viewed else _scripts()[:1]
+        about = {"sections": sections, "scripts": scripts, "policy": _policy(scripts)}
+        text = _environment().get_template("page.html").render(head | about)
         if len(encoded(text)) <= MOST_BYTES:
             break
     return text
@@ -150,3 +162,69 @@ def _counts(run: Run) -> list[tuple[str, str]]:
     if run.missing:
         counts.append((f"{len(run.missing)} missing", "muted"))
     return counts
+
+
+# --- the document ---
+
+
+def encoded(text: str) -> bytes:
+    """UTF-8; half a surrogate pair, which JSON can carry into a name, becomes a question mark."""
+    return text.encode("utf-8", "replace")
+
+
+_VIEWER = (
+    "viewer_data.js",
+    "viewer_gl.js",
+    "viewer_labels.js",
+    "viewer_measured.js",
+    "viewer.js",
+    "viewer_controls.js",
+)
+
+
+def _scripts() -> list[Markup]:
+    viewer = Markup("\n").join(asset(name) for name in _VIEWER)
+    return [
+        asset("page.js") + asset("charts.js"),
+        Markup('"use strict";\n(() => {\n{}})();\n').replace("{}", viewer, 1),
+    ]
+
+
+def _policy(scripts: list[Markup]) -> str:
+    """Nothing may be loaded; of the scripts only these may run."""
+    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
+    return f"default-src 'none'; style-src 'unsafe-inline'; script-src {allowed}; img-src data:"
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
+    environment.filters["shape"] = shape
+    environment.globals["marker_paths"] = MARKER_PATHS
+    environment.globals["ramps"] = {
+        name: [to_hex(colormaps[name](k / _STOPS)) for k in range(_STOPS + 1)] for name in COLOUR_MAPS
+    }
+    environment.filters["unbroken"] = unbroken
+    return environment
+
+
+def unbroken(text: str) -> str:
+    """A number stays with its unit, a key with its value, a name in one piece: `levels = 2` on one line."""
+    text = re.sub(r"(?<=\w) = (?=\S)", "\u00a0=\u00a0", text)
+    text = re.sub(r"(?<=\d) (?=[^\W\d]|%)|(?<=±) ", "\u00a0", text)
+    if not _NAME.search(text):
+        return text
+    return Markup(_NAME.sub(r'<span class="whole">\g<0></span>', str(escape(text))))
+
+
+def asset(name: str) -> Markup:
+    """A script or style sheet of ours, as it is."""
+    return Markup((_TEMPLATES / name).read_text(encoding="utf-8"))

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..verdict.digest import ELSEWHERE, ONCE, REFERENCE, Cost, Digest
-from ..verdict.formatting import listed, quantity, short_percent
+from ..verdict.formatting import quantity, short_percent
 from .blocks import Block, Figure, Figures, Section, Text
-from .plots import Plot, budget_line, colour, draw, limit_line, own_line, percent_axis, time_ticks
+from .plots import Curve, budget_line, colour, draw, limit_line, lines, own_line, percent_axis, time_ticks
 
 BUDGETS = {
     "haptic device, 1 ms": 1e-3,
@@ -49,57 +49,45 @@ def time_notes(costs: Iterable[Cost]) -> list[str]:
     found = list(costs)
     notes = {
         ELSEWHERE: "compare with times of that machine only",
-        ONCE: "not measured in turns with the others: the machine may have been busier then, or less busy",
+        ONCE: "not measured in turns with the others; a busy machine, or factors not kept, make it longer",
     }
     told = [f"{mark}, {note}" for mark, note in notes.items() if any(mark in cost.marks for cost in found)]
-    if any(cost.iterative for cost in found):
-        told.append(
-            "iterative, as suits the few loads of a study; with factors kept set-up is longer and a frame shorter, "
-            "see vdmbench bench"
-        )
     return [f"Beside a time: {'; '.join(told)}."] if told else []
 
 
 def _pareto(
-    digest: Digest,
-    compared: Sequence[str],
-    metric: str,
-    title: str,
-    heights: Sequence[float],
-    salt: str,
+    digest: Digest, compared: Sequence[str], metric: str, title: str, heights: Sequence[float], salt: str
 ) -> Figure | None:
-    points = [(digest.costs[m], spread) for m in compared if (spread := digest.spread(m, metric))]
+    points = {name: spread for name in compared if (spread := digest.spread(name, metric))}
     if not points:
         return None
-    reference = digest.costs.get(str(digest.reference))
-    own, allowed = points[0][1].median_bar, digest.allowed(metric)
-    plot = Plot("time", title, salt)
-    with plot as axes:
-        for cost, spread in points:
-            k, frame, setup = digest.colour(cost.model), cost.frame, cost.set_up
-            if spread.worst > spread.best:
-                ends = [spread.best, spread.worst]
-                axes.plot([frame, frame], ends, color=colour(k), linewidth=1.0, alpha=0.6)
+    costs, reference = digest.costs, digest.costs.get(str(digest.reference))
+    own, allowed = next(iter(points.values())).median_bar, digest.allowed(metric)
+    look = {"markersize": 6.5, "linestyle": "none"}
+    curves = [
+        Curve(name, [costs[name].frame], [one.median], look=look, band=([one.best], [one.worst]))
+        for name, one in points.items()
+    ]
+
+    def finish(axes: Axes) -> None:
+        for name, spread in points.items():
+            k, frame, setup = digest.colour(name), costs[name].frame, costs[name].set_up
             if setup > 0 and math.isfinite(setup):
                 axes.plot([frame, setup], [spread.median] * 2, ":", color=colour(k), linewidth=1.0)
                 hollow: dict[str, Any] = {"markerfacecolor": "none", "linestyle": "-"}
-                draw(axes, k, f"{cost.model}, set-up", [setup], [spread.median], named=False, **hollow)
-            draw(axes, k, cost.model, [frame], [spread.median], markersize=6.5, linestyle="none")
-        _lines(axes, reference, own, allowed)
+                draw(axes, k, f"{name}, set-up", [setup], [spread.median], named=False, **hollow)
+        if reference is not None and reference.frame > 0:
+            axes.axvline(reference.frame, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        own_line(axes, own)
+        limit_line(axes, allowed)
+        for name, seconds in BUDGETS.items():
+            budget_line(axes, seconds, name)
         time_ticks(axes)
         percent_axis(axes, [*heights, allowed, *([own] if own > 0.0 else [])])
-    described = [
-        f"{cost.model} {quantity(cost.frame, 's')} per frame at {short_percent(spread.median)}"
-        for cost, spread in points
-    ]
+
+    def words(curve: Curve) -> str:
+        frame = quantity(costs[curve.model].frame, "s")
+        return f"{frame} per frame at {short_percent(points[curve.model].median)}"
+
     heading = f"Run time against {title.lower()}"
-    return Figure(plot.drawn(f"{heading}: {listed(described)}."), heading)
-
-
-def _lines(axes: Axes, reference: Cost | None, own: float, allowed: float) -> None:
-    if reference is not None and reference.frame > 0:
-        axes.axvline(reference.frame, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
-    own_line(axes, own)
-    limit_line(axes, allowed)
-    for name, seconds in BUDGETS.items():
-        budget_line(axes, seconds, name)
+    return lines(digest, curves, "time", title, heading, salt, finish=finish, told=words)

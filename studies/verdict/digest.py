@@ -97,7 +97,7 @@ class Cost:
     """What a model takes: medians over cases and steps [s], the most memory [B], what stands beside the times.
 
     `frame` is of the contact, `everywhere` with all nodes loaded, over meshes and rounds; without measured frames
-    `frame` is over steps. `marks` are ELSEWHERE, ONCE; `iterative` tells whether such a solver was chosen.
+    `frame` is over steps. `marks` are ELSEWHERE, ONCE.
     """
 
     model: str
@@ -105,7 +105,6 @@ class Cost:
     frame: float
     everywhere: float
     memory: float
-    iterative: bool
     marks: tuple[str, ...]
 
 
@@ -495,7 +494,6 @@ class Digest:
             frame=median_known(*([f.contact for f in frames] or [r.seconds_per_step for r in results])),
             everywhere=median_known(*(f.everywhere for f in frames)),
             memory=float(max((r.peak_bytes for r in answered), default=math.nan)),
-            iterative=not frames and any(r.parameters.get("solver") == "iterative" for r in results),
             marks=self._marks(name),
         )
 

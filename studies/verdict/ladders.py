@@ -34,14 +34,11 @@ class Reading:
         "step-too-long": the quasi-linear solver's volume is that of the last step by its definition (33), an error
         of second order in the step that no status of one step can tell; or "beyond-linear": a linear answer, right
         as such, at a load that its assumptions do not reach
-    message, remedy : what happened and what to change
-    left : displacement after the last load is taken away, over the largest; NaN where it is not
+    message : what happened
     """
 
     code: str
     message: str = ""
-    remedy: str = ""
-    left: float = math.nan
 
     @property
     def ok(self) -> bool:
@@ -140,23 +137,21 @@ def reading(case: CaseResult, model: str) -> Reading | None:
     if failed := failed_steps(result):
         status = result.status[failed[0]]
         where = f" at load factor {case.load_factors[failed[0]]:.3g}" if len(result.status) > 1 else ""
-        return Reading(status.code, f"{status.message}{where}", status.remedy)
-    code, message, remedy, left = "converged", "", "", _left(case, result)
-    residual = _largest(result.scalars.get("relative_residual"))
+        return Reading(status.code, f"{status.message}{where}")
+    residual, left = _largest(result.scalars.get("relative_residual")), _left(case, result)
+    stays = f"{left:.1e} of the displacement stays without load"
     if model.endswith(":quasi-linear") and left > LEFT:
-        code, remedy = "step-too-long", "take smaller load steps, or the nonlinear solver"
-        message = f"the volume lags a step behind: {left:.1e} of the displacement stays without load"
-    elif residual > (SINGLE_RESIDUAL if model.endswith(":single") else RESIDUAL):
-        code, message = "wrong", f"called converged with a relative residual of {residual:.1e}"
-    elif (difference := _difference(case, model)) > DIFFERENT:
-        code, message = "wrong", f"called converged and {difference:.1e} away from {trusted(case, model)}"
-    elif left > LEFT:
-        code, message = "wrong", f"called converged and {left:.1e} of the displacement stays without load"
-    elif (second := _second_order(case, model)) > BEYOND_LINEAR:
-        code, remedy = "beyond-linear", "take a smaller load or a nonlinear solver"
+        return Reading("step-too-long", f"the volume lags a step behind: {stays}")
+    if residual > (SINGLE_RESIDUAL if model.endswith(":single") else RESIDUAL):
+        return Reading("wrong", f"called converged with a relative residual of {residual:.1e}")
+    if (difference := _difference(case, model)) > DIFFERENT:
+        return Reading("wrong", f"called converged and {difference:.1e} away from {trusted(case, model)}")
+    if left > LEFT:
+        return Reading("wrong", f"called converged and {stays}")
+    if (second := _second_order(case, model)) > BEYOND_LINEAR:
         told = f"second order is {short_percent(second)} of the volume"
-        message = f"the load is beyond small displacements: {told}"
-    return Reading(code, message, remedy, left)
+        return Reading("beyond-linear", f"the load is beyond small displacements: {told}")
+    return Reading("converged")
 
 
 def _largest(values: Array | None) -> float:

@@ -66,7 +66,7 @@ class Lead:
     Attributes
     ----------
     metric, name : which, and in words
-    value, bar, worst, worst_bar : median over the judged cases, largest, and the reference's own part in each
+    value, bar : median over the judged cases, and the reference's own part in it
     deformation : median error in change of shape
     floor : the least displacement error that a motion along normals leaves, NaN for other models
     """
@@ -75,8 +75,6 @@ class Lead:
     name: str
     value: float
     bar: float
-    worst: float
-    worst_bar: float
     deformation: float
     floor: float
 
@@ -94,7 +92,6 @@ class Verdict:
     lead : the number that leads, None where nothing is known
     frame : what a frame takes [s], NaN where not known
     judged, within, undecided, beyond, unanswered : cases
-    worst : name of the judged case that is furthest off by `lead`, "" where there is one only
     limits : one entry a limit
     same : whether it has the reference's own numbers to rounding on the same mesh, which tells nothing of accuracy
     why_not : causes, of what is not within
@@ -113,7 +110,6 @@ class Verdict:
     undecided: int = 0
     beyond: int = 0
     unanswered: int = 0
-    worst: str = ""
     limits: tuple[Limit, ...] = ()
     same: bool = False
     why_not: tuple[Reason, ...] = ()
@@ -318,8 +314,6 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
     """The verdict of a family over the cases in range."""
     model = digest.deciding(family)
     states, lead = digest.standing(model), _lead(digest, model)
-    sizes = digest.full_loads(model, lead.metric if lead is not None else VECTOR)
-    worst = digest.cases[int(np.argmax(np.nan_to_num(sizes, nan=-1.0)))]
     judged = {case.hash: WORD[state] for case, state in zip(digest.cases, states.tolist(), strict=True)}
     return Verdict(
         family=family.value,
@@ -330,7 +324,6 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
         frame=digest.costs[model].frame,
         judged=len(states),
         **_counts(states),
-        worst=digest.case_name(worst) if len(unjudged) > 1 else "",
         limits=tuple(_limit(digest, model, one) for one in digest.criteria),
         same=digest.same_as_reference(model),
         why_not=reasons(digest, model),
@@ -351,7 +344,7 @@ def _lead(digest: Digest, model: str) -> Lead | None:
         return None
     name = "normal error" if metric == NORMAL else "displacement error"
     shape, floor = digest.median(model, DEFORMATION), digest.floor(model)
-    return Lead(metric, name, found.median, found.median_bar, found.worst, found.worst_bar, shape, floor)
+    return Lead(metric, name, found.median, found.median_bar, shape, floor)
 
 
 def _limit(digest: Digest, model: str, one: Criterion) -> Limit:

@@ -31,30 +31,26 @@ HERE = processor_name()
     ("case", "marks", "of_reference"),
     [
         (_case(HERE), [ONCE], [ONCE]),
-        (_case(HERE, solver="iterative"), [ONCE], [ONCE]),
         (_case("Abacus 3"), [ELSEWHERE, ONCE], [ELSEWHERE, ONCE]),
         (_case("Abacus 3", measured_on=HERE), [ONCE], [ELSEWHERE, ONCE]),
     ],
 )
 def test_times_say_when_where_and_how(case: CaseResult, marks: list[str], of_reference: list[str]) -> None:
     shown = make_run([case])
-    iterative = case.models["vdm-m"].parameters["solver"] == "iterative"
     rows = {row[0].text: "\n".join(cell.detail for cell in row[1:]) for row in _table(Digest(shown)).rows}
     for name, expected in (("vdm-m", marks), (REFERENCE, of_reference)):
         for time in ("seconds_setup", "seconds_per_step"):
             assert headline_metrics(shown)[name][time]["measured"] == expected
         assert ("another machine" in rows[name]) == (ELSEWHERE in expected)
-        assert ("iterative" in rows[name]) == (iterative and name == "vdm-m")
     told = " ".join(time_notes(Digest(shown).costs.values()))
     assert ("another machine, compare" in told) == (ELSEWHERE in [*marks, *of_reference])
-    assert ("iterative, as suits" in told) == iterative
 
 
 def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
     case = measured_anew(_case("Abacus 3", solver="iterative"))
     digest = Digest(make_run([case]))
     cost = digest.costs["vdm-m"]
-    assert (cost.marks, cost.iterative) == ((), False)
+    assert cost.marks == ()
     assert (cost.frame, cost.everywhere) == (4e-4, 8e-4)
     own = case.models["vdm-m"]
     assert own.frames is not None
