@@ -176,7 +176,6 @@ _VIEWER = (
     "viewer_data.js",
     "viewer_gl.js",
     "viewer_labels.js",
-    "viewer_measured.js",
     "viewer.js",
     "viewer_controls.js",
 )

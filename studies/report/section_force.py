@@ -53,19 +53,18 @@ class Push:
 
 
 def force_against_indentation(digest: Digest) -> Section | None:
-    """How stiff the body feels where the key cases with a load history push it."""
-    figures: list[Figure] = []
-    notes: dict[str, None] = {}
-    for role, case in digest.key_cases:
-        title = f"{digest.case_name(case)}{f' ({role})' if role else ''}"
-        for push in _pushes(digest, case) if len(case.load_factors) > 1 else ():
-            place = f"{push.name}, {title}" if push.name else title
-            figures.append(_drawing(digest, case, push, place, f"f{len(figures)}"))
-            notes[push.note] = None
-            if case.study.gravity is not None and any(case.study.gravity.acceleration):
-                notes[_WEIGHT_NOTE] = None
-    if not figures:
+    """How stiff the body feels where the case that the page looks at first is pushed, if it has a load history."""
+    role, case = digest.key_cases[0] if digest.cases else ("", None)
+    if case is None or len(case.load_factors) == 1 or not (found := list(_pushes(digest, case))):
         return None
+    title = f"{digest.case_name(case)}{f' ({role})' if role else ''}"
+    figures = [
+        _drawing(digest, case, push, ", ".join(filter(None, [push.name, title])), f"f{k}")
+        for k, push in enumerate(found)
+    ]
+    notes = dict.fromkeys(push.note for push in found)
+    if case.study.gravity is not None and any(case.study.gravity.acceleration):
+        notes[_WEIGHT_NOTE] = None
     blocks: list[Block] = [Text(" ".join(notes), kind="note"), Figures(figures, digest.legend)]
     return Section("force", "Force against indentation", blocks)
 

@@ -24,17 +24,13 @@ _HOW = {
 
 
 def inputs(digest: Digest) -> Section | None:
-    """The key cases that tell how well their inputs are known; None where none does."""
-    cases = [(case, case.inputs) for case in digest.cases if case.inputs is not None]
-    if not cases:
+    """The first case that tells how well its inputs are known, a key case if there is one; None where none does."""
+    cases = [*(case for _, case in digest.key_cases), *digest.cases]
+    case = next((case for case in cases if case.inputs is not None), None)
+    if case is None or (first := case.inputs) is None:
         return None
-    keys = [case.hash for _, case in digest.key_cases]
-    shown = [(case, spread) for case, spread in cases if case.hash in keys] or cases[:1]
-    blocks: list[Block] = []
-    for k, (case, spread) in enumerate(shown):
-        caption = digest.case_name(case) if len(digest.cases) > 1 else ""
-        blocks.append(_table(digest, case, spread, f"inputs-{k}", caption))
-    first = shown[0][1]
+    caption = digest.case_name(case) if len(digest.cases) > 1 else ""
+    blocks: list[Block] = [_table(digest, case, first, "inputs", caption)]
     notes = [_READING.format(how=_HOW[first.method], variations=plural(first.variations, "variation"))]
     if any(model.bend > STRAIGHT for model in first.models.values()):
         notes.append(

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -18,7 +17,6 @@ from numpy.typing import NDArray
 from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
-from ..study.measured import AXES
 from ..verdict.digest import Digest
 from ..verdict.formatting import capital, listed, plain, quantity
 from .blocks import Section, Still, Text, Viewer
@@ -27,7 +25,6 @@ from .scene_picture import KINDS, Stage
 from .section_scene import parts_of
 
 _U16, _I16 = 65535, 32767
-_MOST_MEASURED = 2000  # points that the viewer shows
 _TOO_LARGE = (
     "The surface has too many nodes for a viewer in a page of this size; open the case files in ParaView."
 )
@@ -153,7 +150,6 @@ def payload(view: View, digest: Digest) -> dict[str, object]:
                 "azimuth": azimuth(case),
                 "scale": displacement_scale(case),
                 "regions": _regions(case),
-                **({"measured": found} if (found := _measured(case, steps)) else {}),
                 "models": [{"name": name, "steps": _displacements(case, name, steps)} for name in names],
             }
         )
@@ -197,25 +193,6 @@ def _regions(case: CaseResult) -> list[dict[str, object]]:
         {"kind": part.kind, "nodes": _pack(np.flatnonzero(part.nodes).astype(_index_type(case)))}
         for part in parts_of(case, [case])
     ]
-
-
-def _measured(case: CaseResult, steps: list[int]) -> list[dict[str, object]]:
-    """The measured points: where they are, and of the kept steps their displacement, null where unknown."""
-    points: dict[tuple[str, str, int], dict[str, Any]] = {}
-    for one in case.measurement.quantities if case.measurement is not None else ():
-        if one.facet < 0 or one.component not in AXES or one.step not in steps:
-            continue
-        about = {
-            "name": one.point,
-            "step": steps.index(one.step),
-            "nodes": case.triangles[one.facet].tolist(),
-            "weights": list(one.weights),
-            "value": [None, None, None],
-            "uncertainty": one.uncertainty,
-        }
-        point = points.setdefault((one.table, one.point, one.step), about)
-        point["value"][AXES.index(one.component)] = one.value
-    return list(points.values())[:_MOST_MEASURED]
 
 
 def _index_type(case: CaseResult) -> str:

@@ -33,9 +33,8 @@ function rebuild() {
     const values = sizes ? sizes.map((v) => (top > 0 ? v / top : 0)) : new Float32Array(geometry.points.length / 3);
     const [factor, unit] = lengthUnit(sizes ? largest(sizes) : 0);
     const size = sizes ? `up to ${digits(largest(sizes) / factor)} ${unit}` : "no answer at this load";
-    const marks = name === "difference" ? null : marksOf(geometry.points, shown.measured ?? [], state.step, moved, state.scale);
-    const words = message ? ["stopped at this load:", message] : [size, marksInWords(marks)].filter(Boolean);
-    return { name, title, drawn, values, range: top, ramp, colours: ramps[ramp], words, marks };
+    const words = message ? ["stopped at this load:", message] : [size];
+    return { name, title, drawn, values, range: top, ramp, colours: ramps[ramp], words };
   };
   const views = [view("model", state.model, u, u, range, "displacement", told(state.model))];
   if (compared) {
@@ -61,9 +60,6 @@ function send() {
   for (const view of scene.views) {
     gpu.upload("deformed " + view.name, view.drawn);
     gpu.upload("value " + view.name, view.values);
-    if (!view.marks) continue;
-    gpu.upload("marks " + view.name, view.marks.positions);
-    gpu.upload("mark lines " + view.name, view.marks.edges);
   }
   gpu.upload("rest", scene.geometry.points);
   gpu.upload("triangles", scene.geometry.triangles);
@@ -104,7 +100,6 @@ function draw() {
     edges: control("edges").checked && rgba(theme.paper, 0.35),
     rest: control("rest").checked && rgba(theme.ink, 0.28),
     rims: control("regions").checked ? scene.rims.map((rim, k) => ({ name: "rim " + k, colour: rgba(rim.colour, 1), halo: rgba("#ffffff", 1) })) : [],
-    marks: control("measured").checked && { line: rgba(theme.ink, 1), halo: rgba(theme.paper, 1), dot: rgba("#d62f7f", 1) },
     node: state.node !== null && [[13, rgba(theme.paper, 1)], [9, rgba(theme.ink, 1)]],
   };
   const camera = { axes: axes(), centre: scene.geometry.centre, sizes: sizes() };
@@ -135,7 +130,7 @@ function place() {
 function fitBody() {
   const [right, up] = axes(cases[state.case].azimuth, PITCH);
   const { points, centre } = scene.geometry;
-  const drawn = scene.views.flatMap((v) => [v.drawn, v.marks?.positions ?? []]).filter((at) => at.every(Number.isFinite));
+  const drawn = scene.views.map((v) => v.drawn).filter((at) => at.every(Number.isFinite));
   const reach = [right, up].map((axis) => {
     let low = Infinity, high = -Infinity;
     for (const at of [points, ...drawn]) {

@@ -75,7 +75,6 @@ function chooseCase(index) {
   control("step").closest("label").hidden = shown.factors.length < 2;
   control("scale").value = 50;
   control("regions").closest("label").hidden = !shown.regions.length;
-  control("measured").closest("label").hidden = !shown.measured;
   rebuild();
   resetView();
 }
@@ -86,7 +85,7 @@ control("case").addEventListener("change", (event) => chooseCase(Number(event.ta
 control("model").addEventListener("change", (event) => { state.model = event.target.value; rebuild(); });
 control("step").addEventListener("input", (event) => { state.step = Number(event.target.value); rebuild(); });
 control("scale").addEventListener("input", (event) => { state.scale = (cases[state.case].scale * event.target.value) / 50; rebuild(); });
-for (const name of ["rest", "edges", "regions", "measured"]) control(name).addEventListener("change", redraw);
+for (const name of ["rest", "edges", "regions"]) control(name).addEventListener("change", redraw);
 control("reset").addEventListener("click", resetView);
 control("node").addEventListener("change", (event) => {
   const node = Number(event.target.value), count = scene.geometry.points.length / 3;

@@ -105,21 +105,12 @@ function makeGpu(gl, ramps) {
         elements(gl.LINES, edges);
       }
     };
-    const dots = (positions, size, colour, count) => {
+    const dots = (positions, size, colour) => {
       attribute(0, positions, 3);
       use(flat, size * look.ratio);
       gl.uniform4fv(flat.at("ink"), colour);
       gl.uniform1i(flat.at("dot_"), 1);
-      gl.drawArrays(gl.POINTS, 0, count);
-    };
-    const marks = ({ name, marks }) => {
-      const { line, halo, dot } = look.marks;
-      gl.disable(gl.DEPTH_TEST); // a point that the model passes by may lie inside it
-      lines("marks " + name, "mark lines " + name, halo, 1.4 * look.ratio);
-      lines("marks " + name, "mark lines " + name, line);
-      dots("marks " + name, 9, halo, marks.count);
-      dots("marks " + name, 6, dot, marks.count);
-      gl.enable(gl.DEPTH_TEST);
+      gl.drawArrays(gl.POINTS, 0, 1);
     };
     const deformed = "deformed " + view.name;
     use(surface);
@@ -138,10 +129,9 @@ function makeGpu(gl, ramps) {
       lines(deformed, name, colour, 0.8 * look.ratio);
     }
     gl.depthMask(true);
-    if (look.marks && view.marks?.count) marks(view);
     if (!look.node) return;
     gl.disable(gl.DEPTH_TEST);
-    for (const [size, colour] of look.node) dots("node " + view.name, size, colour, 1);
+    for (const [size, colour] of look.node) dots("node " + view.name, size, colour);
     gl.enable(gl.DEPTH_TEST);
   }
 
