@@ -27,10 +27,12 @@ from solver_common.quadrature import facet_quadrature
 
 from ..body.geometry import fill_surface
 from ..body.mesh import Mesh
-from ..body.surface_measures import enclosed_volume, facet_areas
+from ..body.surface_measures import Surface, enclosed_volume, facet_areas
 from ..scene.inclusions import moduli, on_mesh
 from ..scene.scene import Scene, SurfaceLoad
+from ..scene.warnings import motion_share
 
+FEW_NODES = 400  # of the surface of a mesh that tells how far a load moves the body
 COARSENING = 2.0  # edge of the coarse mesh over that of the case's own
 MOST_OFF = 0.5  # of the support's area on the coarse mesh, over that of the case's own
 SMALL_SUPPORT = Status(
@@ -56,8 +58,8 @@ class Transfer:
     nearest: Index
 
 
-def coarse_mesh(mesh: Mesh) -> Mesh:
-    """The same body with edges `COARSENING` times as long, from its surface.
+def coarse_mesh(mesh: Mesh, coarsening: float = COARSENING) -> Mesh:
+    """The same body with edges `coarsening` times as long, from its surface.
 
     Raises
     ------
@@ -66,7 +68,7 @@ def coarse_mesh(mesh: Mesh) -> Mesh:
     """
     corners = mesh.surface_points[mesh.triangles]
     edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
-    return fill_surface(mesh.surface_points, mesh.triangles, COARSENING * edge)
+    return fill_surface(mesh.surface_points, mesh.triangles, coarsening * edge)
 
 
 def coarse_support(scene: Scene, coarse: Mesh) -> tuple[Mask, Index]:
@@ -129,6 +131,26 @@ def _volume(mesh: Mesh) -> float:
     return enclosed_volume(mesh.surface_points, mesh.triangles)
 
 
+def expected_motion(scene: Scene) -> tuple[float, float]:
+    """How far the body moves at full load, over its smallest extent, and the change of its volume, over that.
+
+    Of linear elasticity with the weight, on a mesh of some `FEW_NODES` surface nodes, in about a second.
+
+    Raises
+    ------
+    ValueError
+        a body that cannot be made so coarse, or that nothing holds.
+    """
+    points, triangles = scene.mesh.surface_points, scene.mesh.triangles
+    coarsening = max(1.0, float(np.sqrt(len(points) / FEW_NODES)))
+    load = scene.load(float(scene.load_factors[np.abs(scene.load_factors).argmax()]))
+    (displacement,) = CoarseProblem(scene, 1, coarsening).solve([load]).displacement
+    drift = enclosed_volume(points + displacement, triangles) / enclosed_volume(points, triangles) - 1.0
+    extent = Surface(points, triangles).smallest_extent
+    pushed = load.depth / extent  # an indenter moves the surface under it
+    return max(pushed, motion_share(displacement, scene.held, extent)), abs(drift)
+
+
 class CoarseProblem:
     """Answers loads of a scene's body with the mixed P2-P1 element on a coarser mesh, at the scene's surface nodes.
 
@@ -144,10 +166,10 @@ class CoarseProblem:
         or what `LinearProblem` refuses.
     """
 
-    def __init__(self, scene: Scene, n_loads: int) -> None:
+    def __init__(self, scene: Scene, n_loads: int, coarsening: float = COARSENING) -> None:
         start = time.perf_counter()
         self._scene = scene
-        coarse, tissue, fibres = coarse_mesh(scene.mesh), scene.tissue, scene.anisotropy
+        coarse, tissue, fibres = coarse_mesh(scene.mesh, coarsening), scene.tissue, scene.anisotropy
         held, nearest = coarse_support(scene, coarse)
         young: ArrayLike = tissue.youngs_modulus
         ratio: ArrayLike = tissue.poisson_ratio

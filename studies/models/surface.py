@@ -291,7 +291,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="24",
+        version="25",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
@@ -303,7 +303,7 @@ for _registered in (
     _surface(
         name="bem-sparse",
         family=Family.PEERS,
-        version="13",
+        version="14",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility", "parts"),

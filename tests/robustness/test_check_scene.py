@@ -31,6 +31,11 @@ CASES: dict[str, tuple[list[tuple[str, str]], int, str]] = {
         2,
         "small.toml:25: constraints.finger: contact 'finger' covers",
     ),
+    "a load that the run refuses to judge": (
+        [('"0.1 N"', '"5 N"')],
+        0,
+        "warning: small.toml:6: study.reference: the load moves the body by about",
+    ),
     "a modulus of bone": (
         [('"5 kPa"', '"5 GPa"')],
         0,

@@ -49,6 +49,19 @@ def test_every_shipped_study_can_be_copied(name: str) -> None:
     assert mine == source
 
 
+def test_files_that_a_study_names_come_along() -> None:
+    Path("from").mkdir()
+    Path("from/liver.stl").write_text("solid")
+    text = '[study]\nmodels = ["vdm-paper"]\nname = \'old\'\n[geometry]\nshape = "file"\npath = "liver.stl"\n'
+    Path("from/old.toml").write_text(text)
+    assert do(parse(["new", "to/new", "--from", "from/old.toml"])) == 0
+    assert Path("to/new.toml").read_text() == text.replace("'old'", '"new"')
+    assert Path("to/liver.stl").read_text() == "solid"
+    Path("from/old.toml").write_text(text.replace("liver.stl", "../secret"))
+    with pytest.raises(ValueError, match=r"names '\.\./secret', which is no file beside it"):
+        do(parse(["new", "other", "--from", "from/old.toml"]))
+
+
 def test_nothing_is_overwritten() -> None:
     Path("mine.toml").write_text("precious")
     with pytest.raises(ValueError, match=r"mine.toml: is there already, and is not overwritten"):
