@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
+from solver_common.closed_surfaces import solid_angles
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import pieces
@@ -28,7 +29,8 @@ class PlacedInclusion:
 def place_inclusions(
     study: Study, mesh: Mesh, known: Mapping[str, Mask] | None = None
 ) -> tuple[PlacedInclusion, ...]:
-    """The inclusions of a study on a mesh; none on one without tetrahedra.
+    """The inclusions of a study on a mesh; none on one without tetrahedra, where it is only seen that each lies in
+    the body.
 
     A tetrahedron belongs to a ball or a box where its centroid lies in it, and to the last that it lies in. `known`
     are the tetrahedra where the mesh is a refinement, on which the inclusions are those of the coarse mesh.
@@ -36,30 +38,40 @@ def place_inclusions(
     Raises
     ------
     SceneError
-        an inclusion without a tetrahedron, a group that the mesh has not.
+        an inclusion outside the body or without a tetrahedron, a group that the mesh has not.
     """
-    if not study.inclusions or not len(mesh.tetrahedra):
+    if not study.inclusions:
         return ()
     by = tuple(origin(study, mesh.centre).tolist())
-    return on_mesh([_moved(inclusion, by) for inclusion in study.inclusions], mesh, known)
+    moved = [_moved(inclusion, by) for inclusion in study.inclusions]
+    if len(mesh.tetrahedra):
+        return on_mesh(moved, mesh, known, by)
+    for k, part in enumerate(moved):
+        if (told := _outside(part, mesh, by)) and not _within(part, mesh.surface_points).any():
+            raise SceneError(f"inclusion {part.name!r}: {told}", ("inclusions", k))
+    return ()
 
 
 def on_mesh(
-    declared: Sequence[Inclusion], mesh: Mesh, known: Mapping[str, Mask] | None = None
+    declared: Sequence[Inclusion],
+    mesh: Mesh,
+    known: Mapping[str, Mask] | None = None,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> tuple[PlacedInclusion, ...]:
-    """The same of inclusions in the mesh's own coordinates."""
+    """The same of inclusions in the mesh's own coordinates, those of the study being from `origin` (3,)."""
     inside = [
         known[part.name] if known else _inside(part, mesh, ("inclusions", k))
         for k, part in enumerate(declared)
     ]
     for k, part in enumerate(declared):
+        elsewhere = "" if inside[k].any() else _outside(part, mesh, origin)
         inside[k] = inside[k] & ~np.logical_or.reduce(
             [np.zeros(len(mesh.tetrahedra), bool), *inside[k + 1 :]]
         )
         if not inside[k].any():
+            remedy = elsewhere or "enlarge it or take a smaller mesh_size"
             raise SceneError(
-                f"inclusion {part.name!r} has no tetrahedron of its own; enlarge it or take a smaller mesh_size",
-                ("inclusions", k),
+                f"inclusion {part.name!r} has no tetrahedron of its own; {remedy}", ("inclusions", k)
             )
     return tuple(PlacedInclusion(part, mask) for part, mask in zip(declared, inside, strict=True))
 
@@ -138,6 +150,29 @@ def _moved(inclusion: Inclusion, by: tuple[float, ...]) -> Inclusion:
     return inclusion
 
 
+def _outside(part: Inclusion, mesh: Mesh, origin: Sequence[float]) -> str:
+    """Where the body is, of an inclusion whose middle lies outside it, from `origin` (3,); else nothing."""
+    ends = (part.ball.center,) if part.ball else (part.box.min, part.box.max) if part.box else ()
+    points = mesh.surface_points
+    if not ends or solid_angles(np.mean(ends, axis=0)[None], points, mesh.triangles)[0] > 0.5:
+        return ""
+    a, b, c = (points[mesh.triangles] - points[0]).transpose(1, 0, 2)
+    shares = (a * np.cross(b, c)).sum(axis=1)
+    centroid = points[0] + shares @ (a + b + c) / (4.0 * shares.sum()) - np.array(origin)
+    told = ", ".join(f"{1000.0 * x:.3g}" for x in centroid)
+    return f"its middle lies outside the body, whose centre of volume is at ({told}) mm"
+
+
+def _within(inclusion: Inclusion, points: Array) -> Mask:
+    """(n,) which points (n, 3) lie in a ball or a box."""
+    if inclusion.ball is not None:
+        offset = points - np.array(inclusion.ball.center)
+        return np.asarray(np.linalg.norm(offset, axis=1) <= inclusion.ball.radius)
+    assert inclusion.box is not None  # a study is checked
+    low, high = np.array(inclusion.box.min), np.array(inclusion.box.max)
+    return np.asarray(np.all((points >= low) & (points <= high), axis=1))
+
+
 def _inside(inclusion: Inclusion, mesh: Mesh, place: tuple[str, int]) -> Mask:
     """(m,) tetrahedra of an inclusion in the mesh's coordinates, whatever others take."""
     if inclusion.group is not None:
@@ -147,10 +182,4 @@ def _inside(inclusion: Inclusion, mesh: Mesh, place: tuple[str, int]) -> Mask:
                 f"the mesh has no group {inclusion.group!r} of tetrahedra; it has: {known}", place
             )
         return mesh.volumes[inclusion.group]
-    centroids = mesh.points[mesh.tetrahedra].mean(axis=1)
-    if inclusion.ball is not None:
-        offset = centroids - np.array(inclusion.ball.center)
-        return np.asarray(np.linalg.norm(offset, axis=1) <= inclusion.ball.radius)
-    assert inclusion.box is not None  # a study is checked
-    low, high = np.array(inclusion.box.min), np.array(inclusion.box.max)
-    return np.asarray(np.all((centroids >= low) & (centroids <= high), axis=1))
+    return _within(inclusion, mesh.points[mesh.tetrahedra].mean(axis=1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +195,15 @@ def test_the_last_of_several_wins(bar: Mesh) -> None:
     assert (parts == np.where(near, 2, np.where(above, 1, 0))).all()
     with pytest.raises(SceneError, match="'upper' has no tetrahedron of its own; enlarge it"):
         build_scene(study(inclusions=[UPPER, UPPER | {"name": "again"}]), bar)
+
+
+@pytest.mark.parametrize("tetrahedra", [True, False])
+def test_one_outside_the_body_is_told_where_the_body_is(bar: Mesh, tetrahedra: bool) -> None:
+    mesh = bar if tetrahedra else dataclasses.replace(bar, tetrahedra=bar.tetrahedra[:0])
+    given = {"name": "far", "ball": {"center": [1.5, 0.5, 0.5], "radius": 0.4}, "youngs_modulus": 9e3}
+    with pytest.raises(SceneError, match=r"outside the body, .* at \(500, 500, 500\) mm") as told:
+        build_scene(study(inclusions=[given]), mesh)
+    assert told.value.place == ("inclusions", 0)
 
 
 def test_a_refinement_has_the_same_inclusions(bar: Mesh) -> None:
