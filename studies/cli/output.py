@@ -14,6 +14,7 @@ from ..machine import json_text
 from ..study.errors import plural
 
 if TYPE_CHECKING:
+    import argparse
     from pathlib import Path
 
     from ..measures.case import Run
@@ -120,6 +121,15 @@ def tell(text: str) -> None:
 
 def print_json(value: Any) -> int:
     print(json_text(value, indent=1))
+    return OK
+
+
+def answer(options: argparse.Namespace, value: Any, *lines: str) -> int:
+    """What a verb has found: as JSON where that is asked for, else in lines."""
+    if options.json:
+        return print_json(value)
+    for line in lines:
+        print(line)
     return OK
 
 

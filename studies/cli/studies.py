@@ -1,14 +1,15 @@
-"""The study that a command line names, its plan, its cases and its run: for the verbs that take a study."""
+"""The study that a command line names, its plan, its cases and its run, and how far that is."""
 
 from __future__ import annotations
 
 import argparse
+import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..machine import cache_directory, results_directory, usable_processors
-from .output import UsageError
-from .progress import Progress
+from .output import OK, UsageError, complain, tell
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from ..measures.case import Run
     from ..study.schema import Study
     from ..work.plan import Plan, PlannedCase
+    from ..work.run import Event
+
+SILENCE = 30.0  # s between two lines in which a pipe hears where the run is
 
 
 def load(options: argparse.Namespace) -> Study:
@@ -35,11 +39,7 @@ def baseline_of(options: argparse.Namespace, study: str) -> Path:
 
 
 def make_plan(
-    study: Study,
-    options: argparse.Namespace,
-    *,
-    directory: Path | None = None,
-    command: tuple[str, ...] = (),
+    study: Study, options: argparse.Namespace, *, directory: Path | None = None, command: tuple[str, ...] = ()
 ) -> Plan:
     """The plan of all cases; in --out or results/runs/NAME by default."""
     from ..study.config import expand
@@ -136,3 +136,67 @@ def numbered_case(plan: Plan, number: int) -> PlannedCase:
     if number > len(plan.cases):
         raise UsageError(f"--case {number}: the study has {len(plan.cases)} cases")
     return plan.cases[number - 1]
+
+
+# --- how far a run is: a bar on a terminal, lines in a pipe, on standard error so that output can be piped ---
+
+
+class Progress:
+    """Pieces done of all, and what was heard of last.
+
+    Parameters
+    ----------
+    name : of the study, for the case of a study of one
+    quiet : whether to show sentences alone
+    """
+
+    def __init__(self, name: str, *, quiet: bool) -> None:
+        self.name = name
+        self.quiet = quiet
+        self.bar: Any = None
+        self.done = self.total = 0
+        self.spoke = time.monotonic()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+    def show(self, event: Event) -> None:
+        """Show one event of the run; a sentence also where progress is not wanted."""
+        if event.kind == "told":
+            complain(event.message, OK)
+            return
+        if event.kind == "begun":
+            self.total = event.count
+        ended = event.kind in ("done", "failed", "stopped")
+        self.done += ended
+        if self.quiet:
+            return
+        place = ": ".join(filter(None, [event.label or self.name, event.message]))
+        if sys.stderr.isatty():
+            # not sooner: it is a thread, and workers are forked from a process that has no other
+            self.bar = self.bar or _bar()
+            self.bar.update(self.bar.task_ids[0], description=place, completed=self.done, total=self.total)
+        elif ended and event.kind != "stopped":
+            self._say(f"{event.kind} {place} ({event.seconds:.1f} s)")
+        elif time.monotonic() - self.spoke >= SILENCE:
+            self._say(f"at {place}, {self.done} of {self.total} done")
+
+    def _say(self, text: str) -> None:
+        self.spoke = time.monotonic()
+        tell(text)
+
+
+def _bar() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (BarColumn(20), MofNCompleteColumn(), TimeRemainingColumn(elapsed_when_finished=True))
+    what = TextColumn("{task.description}", markup=False)
+    bar = Progress(*columns, what, console=Console(stderr=True), transient=True)
+    bar.start()
+    bar.add_task("starting", total=None)
+    return bar

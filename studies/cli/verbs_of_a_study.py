@@ -1,26 +1,155 @@
-"""What can be run, whether a study is right, what a run would do, and the run: `list schema check plan run`."""
+"""A study before it is solved, and its run: `list schema new show check plan run`."""
 
 from __future__ import annotations
 
 import argparse
+import os
+import re
 from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ..study.errors import plural
 from ..study.files import shipped_studies
 from .arguments import (
+    CASE,
     CHANGES,
     PLANS,
     STUDY_READS,
     flag,
     option,
+    place,
     positive_seconds,
     shard,
     size_in_bytes,
     study_argument,
     verb,
 )
-from .output import OK, USAGE, folded, print_json, print_run
-from .studies import check_files, load, make_plan, require_own, run_missing
+from .output import OK, USAGE, UsageError, answer, folded, print_json, print_run
+from .studies import check_files, load, make_plan, numbered_case, require_own, run_missing
+
+if TYPE_CHECKING:
+    from ..measures.case import CaseResult
+    from ..work.plan import Plan, PlannedCase
+
+TEMPLATE = Path(__file__).with_name("new_study.toml")
+_NAME = re.compile(r'^(\s*name\s*=\s*)(?:"[^"\n]*"|\'[^\'\n]*\')', re.MULTILINE)
+
+
+@verb(
+    "new",
+    "write a study file to begin with, or a copy of another study",
+    option("name", metavar="NAME", help="name of the study; NAME.toml is written, which must be new"),
+    option("--from", dest="source", metavar="STUDY", help="a study to copy, a file or a shipped one"),
+)
+def new_study(options: argparse.Namespace) -> int:
+    """Write NAME.toml, and beside it the files that a copied study names."""
+    from ..study.files import study_path
+    from ..study.kinds import is_safe_name
+
+    path = Path(options.name).with_suffix("") if options.name.endswith(".toml") else Path(options.name)
+    if not is_safe_name(path.name):
+        raise UsageError(
+            f"{options.name!r}: a study's name has letters, digits, _ . - and at most 64 of them"
+        )
+    source = study_path(options.source) if options.source else TEMPLATE
+    text = source.read_text(encoding="utf-8-sig")
+    files = _files(text, source.parent) if options.source else {}
+    target = path.with_name(f"{path.name}.toml")
+    wanted: dict[Path, bytes] = {target: _named(text, path.name, source).encode()}
+    wanted |= {target.parent / name: file.read_bytes() for name, file in files.items()}
+    for file in wanted:
+        if os.path.lexists(file):
+            raise UsageError(f"{file}: is there already, and is not overwritten; choose another name")
+    for file, content in wanted.items():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("xb") as out:
+            out.write(content)
+    told = {"study": str(target), "files": [str(file) for file in wanted]}
+    return answer(options, told, f"{target}: run it with: vdmbench run {target}")
+
+
+def _named(text: str, name: str, source: Path) -> str:
+    """The study under another name."""
+    if source == TEMPLATE:
+        return text.replace("NAME", name)
+    start = re.search(r"^\s*\[\s*study\s*\]", text, re.MULTILINE)
+    found = _NAME.search(text, start.end()) if start else None
+    if found is None:
+        raise UsageError(f"{source}: has no line with the name of its study, so it cannot be copied")
+    return f'{text[: found.start()]}{found[1]}"{name}"{text[found.end() :]}'
+
+
+def _files(text: str, directory: Path) -> dict[str, Path]:
+    """The files beside a study that it names. Raises UsageError for one that is elsewhere or missing."""
+    import tomllib
+
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"the study to copy is not sound: {error}") from None
+    tables: list[Any] = [data.get("geometry")]
+    tables += data["measured"] if isinstance(data.get("measured"), list) else []
+    names = [
+        table["path"] for table in tables if isinstance(table, dict) and isinstance(table.get("path"), str)
+    ]
+    for name in names:
+        if Path(name).is_absolute() or ".." in Path(name).parts or not (directory / name).is_file():
+            raise UsageError(f"it names {name!r}, which is no file beside it; copy the study by hand")
+    return {name: directory / name for name in names}
+
+
+@verb(
+    "show",
+    "draw body, regions and loads of a study before anything is solved",
+    study_argument(),
+    *STUDY_READS,
+    CHANGES,
+    option(
+        "--save", type=place, metavar="PNG", help="the picture (default NAME-scene.png in this directory)"
+    ),
+    CASE,
+)
+def show_scene(options: argparse.Namespace) -> int:
+    """Mesh the surface, put the scene on it, draw it."""
+    from ..machine import write_atomically
+    from ..report.scene_picture import Stage, scene_png
+    from ..report.section_scene import outlines_of, parts_of, scene_words
+
+    study = load(options)
+    plan = make_plan(study, options)
+    case = _unsolved(plan, numbered_case(plan, options.case))
+    words = scene_words(case, [case])
+    path = options.save or Path(f"{study.study.name}-scene.png")
+    title = f"{study.study.title}: {case.label}" if case.label else study.study.title
+    told = [f"{what}: {value}" for what, value in words]
+    parts = parts_of(case, [case])
+    stage = Stage(case.points, case.triangles, parts, outlines_of(case))
+    write_atomically(path, scene_png(stage, told, title=title))
+    return answer(options, {"picture": str(path), "scene": dict(words)}, *told, f"picture: {path}")
+
+
+def _unsolved(plan: Plan, case: PlannedCase) -> CaseResult:
+    """A case with its scene and no answer. Raises StudyError where the scene cannot be put on its mesh."""
+    from ..measures.case import CaseResult
+    from ..work.scene_check import scene_of
+
+    scene = scene_of(plan, case)
+    return CaseResult(
+        hash=case.hash,
+        label=case.label,
+        swept=case.swept,
+        swept_units=case.swept_units,
+        study=case.study,
+        provenance={},
+        points=scene.mesh.surface_points,
+        triangles=scene.mesh.triangles,
+        load_factors=scene.load_factors,
+        regions=scene.regions,
+        models={},
+        metrics={},
+        reference=None,
+    )
 
 
 @verb(
@@ -32,29 +161,21 @@ def list_studies(options: argparse.Namespace) -> int:
     """Print the shipped studies, or the models."""
     import tomllib
 
-    titles = {}
     if options.models:
         from ..study.registry import BROKEN, all_models
 
-        for name, model in all_models().items():
-            titles[name] = (
-                f"solvers {', '.join(model.solvers)}; reads {', '.join(model.parameters) or 'none'}"
-            )
-        titles |= {name: f"no model: {why}" for name, why in BROKEN.items()}
-    for name, path in shipped_studies().items() if not options.models else ():
-        titles[name] = tomllib.loads(path.read_text())["study"]["title"]
-    if options.json:
-        return print_json(titles)
+        titles = {
+            name: f"solvers {', '.join(model.solvers)}; reads {', '.join(model.parameters) or 'none'}"
+            for name, model in all_models().items()
+        } | {name: f"no model: {why}" for name, why in BROKEN.items()}
+    else:
+        texts = {name: path.read_text() for name, path in shipped_studies().items()}
+        titles = {name: tomllib.loads(text)["study"]["title"] for name, text in texts.items()}
     width = max(map(len, titles))
-    for name, title in titles.items():
-        print(f"{name:<{width}}  {title}")
-    return OK
+    return answer(options, titles, *(f"{name:<{width}}  {title}" for name, title in titles.items()))
 
 
-@verb(
-    "schema",
-    "print the JSON schema of study files, for editors",
-)
+@verb("schema", "print the JSON schema of study files, for editors")
 def print_schema(_: argparse.Namespace) -> int:
     """Print the JSON schema of study files.
 
@@ -63,17 +184,10 @@ def print_schema(_: argparse.Namespace) -> int:
     """
     from ..study.fields import study_schema
 
-    print_json(study_schema())
-    return OK
+    return print_json(study_schema())
 
 
-@verb(
-    "check",
-    "validate a study without running it",
-    study_argument(),
-    *STUDY_READS,
-    CHANGES,
-)
+@verb("check", "validate a study without running it", study_argument(), *STUDY_READS, CHANGES)
 def check_study(options: argparse.Namespace) -> int:
     """Validate a study without running it: its keys, and its scene on the surface of its mesh.
 
@@ -97,29 +211,21 @@ def check_study(options: argparse.Namespace) -> int:
         tight = [(("geometry", "mesh_size"), text) for text in beyond_memory(plan, work, 1.0).values()]
         doubts += study.error(tight).problems
     except StudyError as error:
-        if options.json:
-            problems = [problem._asdict() for problem in error.problems]
-            print_json({"ok": False, "problems": problems})
-            return USAGE
-        raise
-    if options.json:
-        told = [problem._asdict() for problem in doubts]
-        return print_json(
-            {"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected, "warnings": told}
-        )
-    print(f"{study.path}: ok, {plural(len(plan.cases), 'case')}")
-    for problem in doubts:
-        print(f"warning: {problem}")
-    for line in expected:
-        print(f"will be refused: {line}")
-    return OK
+        if not options.json:
+            raise
+        print_json({"ok": False, "problems": [problem._asdict() for problem in error.problems]})
+        return USAGE
+    told = [problem._asdict() for problem in doubts]
+    return answer(
+        options,
+        {"ok": True, "problems": [], "cases": len(plan.cases), "refused": expected, "warnings": told},
+        f"{study.path}: ok, {plural(len(plan.cases), 'case')}",
+        *(f"warning: {problem}" for problem in doubts),
+        *(f"will be refused: {line}" for line in expected),
+    )
 
 
-@verb(
-    "plan",
-    "say what a run would do",
-    *PLANS,
-)
+@verb("plan", "say what a run would do", *PLANS)
 def plan_study(options: argparse.Namespace) -> int:
     """Print what a run would do."""
     from ..work.explain import summary

@@ -8,7 +8,7 @@ import pty
 
 import pytest
 
-from vdmbench.cli.progress import SILENCE, Progress
+from vdmbench.cli.studies import SILENCE, Progress
 from vdmbench.work.run import Event
 
 PLACE = "load step 2 of 5 at 35 %, iteration 3, residual 1.0e-04"

@@ -8,7 +8,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from vdmbench.cli.verb_new import TEMPLATE
+from vdmbench.cli.verbs_of_a_study import TEMPLATE
 from vdmbench.study.fields import study_schema
 from vdmbench.study.files import shipped_studies
 
