@@ -17,6 +17,8 @@ from ..study.schema import Inclusion, Study, Tissue
 from .placed import SceneError
 from .regions import origin, shifted
 
+_PLACES = 24  # along each axis, of which the deepest is told
+
 
 @dataclass(frozen=True)
 class PlacedInclusion:
@@ -151,16 +153,21 @@ def _moved(inclusion: Inclusion, by: tuple[float, ...]) -> Inclusion:
 
 
 def _outside(part: Inclusion, mesh: Mesh, origin: Sequence[float]) -> str:
-    """Where the body is, of an inclusion whose middle lies outside it, from `origin` (3,); else nothing."""
+    """Where the body is deepest, of an inclusion whose middle lies outside it, from `origin` (3,); else nothing."""
     ends = (part.ball.center,) if part.ball else (part.box.min, part.box.max) if part.box else ()
-    points = mesh.surface_points
-    if not ends or solid_angles(np.mean(ends, axis=0)[None], points, mesh.triangles)[0] > 0.5:
+    points, triangles = mesh.surface_points, mesh.triangles
+    if not ends or solid_angles(np.mean(ends, axis=0)[None], points, triangles)[0] > 0.5:
         return ""
-    a, b, c = (points[mesh.triangles] - points[0]).transpose(1, 0, 2)
-    shares = (a * np.cross(b, c)).sum(axis=1)
-    centroid = points[0] + shares @ (a + b + c) / (4.0 * shares.sum()) - np.array(origin)
-    told = ", ".join(f"{1000.0 * x:.3g}" for x in centroid)
-    return f"its middle lies outside the body, whose centre of volume is at ({told}) mm"
+    from scipy.spatial import KDTree  # slow to load, for a message
+
+    axes = np.linspace(points.min(axis=0), points.max(axis=0), _PLACES)
+    places = np.stack(np.meshgrid(*axes.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    depth = KDTree(points).query(places)[0] * (solid_angles(places, points, triangles) > 0.5)
+    told = ", ".join(f"{1000.0 * x:.3g}" for x in places[depth.argmax()] - np.array(origin))
+    return (
+        f"its middle lies outside the body, which is deepest near ({told}) mm, {1000.0 * depth.max():.3g} mm from "
+        "its surface"
+    )
 
 
 def _within(inclusion: Inclusion, points: Array) -> Mask:

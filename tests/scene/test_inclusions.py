@@ -201,7 +201,7 @@ def test_the_last_of_several_wins(bar: Mesh) -> None:
 def test_one_outside_the_body_is_told_where_the_body_is(bar: Mesh, tetrahedra: bool) -> None:
     mesh = bar if tetrahedra else dataclasses.replace(bar, tetrahedra=bar.tetrahedra[:0])
     given = {"name": "far", "ball": {"center": [1.5, 0.5, 0.5], "radius": 0.4}, "youngs_modulus": 9e3}
-    with pytest.raises(SceneError, match=r"outside the body, .* at \(500, 500, 500\) mm") as told:
+    with pytest.raises(SceneError, match=r"outside the body, .* \(4.., 4.., 4..\) mm") as told:
         build_scene(study(inclusions=[given]), mesh)
     assert told.value.place == ("inclusions", 0)
 
