@@ -25,7 +25,7 @@ from ..study.shapes import (
 from .mesh import Mesh
 from .mesh_file import check_readable
 from .read_apart import clean_of
-from .repair import CleanSurface, CleanTetrahedra
+from .repair import Clean
 from .surface_measures import enclosed_volume, facet_areas, shells
 from .topology import mesh_from_tetrahedra, separate_pieces
 
@@ -49,30 +49,20 @@ def imported_surface(geometry: FileBody, *, volume: bool) -> ImportedSurface:
     """The surface of a file, fit to be meshed as asked. Raises MeshError."""
     check_readable(geometry.path)
     clean = _clean(geometry.path, file_digest(geometry.path), geometry.repair or "")
-    assert isinstance(clean, CleanSurface)
     points, centre, scale = _in_metres(clean.points, geometry)
     size = geometry.mesh_size or 0.0
     check_mesh_size(size, float(np.ptp(points, axis=0).min()))
-    area = float(facet_areas(points, clean.triangles).sum())
-    inside = enclosed_volume(points, clean.triangles)
+    area = float(facet_areas(points, clean.cells).sum())
+    inside = enclosed_volume(points, clean.cells)
     remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
     check_node_budget(area, inside if volume else 0.0, size, remedy)
-    _check_cavities(geometry, points, clean.triangles)
-    repairs = {
-        "scale": scale,
-        "imported_points": float(len(clean.points)),
-        "points_merged": float(clean.points_merged),
-        "points_dropped": float(clean.points_dropped),
-        "facets_dropped": float(clean.facets_dropped),
-        "facets_flipped": float(clean.facets_flipped),
-        "facets_of_other_pieces": float(clean.facets_of_other_pieces),
-        "facets_added": float(clean.facets_added),
-    }
-    return ImportedSurface(points, centre, clean.triangles, area, inside, repairs)
+    _check_cavities(geometry, points, clean.cells)
+    repairs = {"scale": scale, "imported_points": float(len(points)), **clean.repairs}
+    return ImportedSurface(points, centre, clean.cells, area, inside, repairs)
 
 
 @lru_cache(maxsize=1)
-def _clean(path: Path, digest: str, repair: str) -> CleanSurface | CleanTetrahedra:  # noqa: ARG001
+def _clean(path: Path, digest: str, repair: str) -> Clean:  # noqa: ARG001
     """What is in the file with these bytes, which a study of several mesh sizes asks for again and again."""
     return clean_of(path, repair)
 
@@ -81,16 +71,11 @@ def imported_tetrahedra(geometry: FileBody) -> Mesh:
     """The tetrahedra of a file, used as they are. Raises MeshError."""
     check_readable(geometry.path)
     clean = _clean(geometry.path, file_digest(geometry.path), "")
-    assert isinstance(clean, CleanTetrahedra)
     if len(clean.points) > MAX_NODES:
         raise MeshError(f"has {len(clean.points)} nodes, more than the {MAX_NODES} allowed; coarsen it")
     points, centre, scale = _in_metres(clean.points, geometry)
-    repairs = {
-        "scale": scale,
-        "points_dropped": float(clean.points_dropped),
-        "tetrahedra_turned": float(clean.tetrahedra_turned),
-    }
-    mesh = mesh_from_tetrahedra(points, clean.tetrahedra, groups=clean.groups, quality=repairs)
+    repairs = {"scale": scale, **clean.repairs}
+    mesh = mesh_from_tetrahedra(points, clean.cells, groups=clean.groups, quality=repairs)
     _check_cavities(geometry, mesh.surface_points, mesh.triangles)
     return placed(mesh, centre)
 

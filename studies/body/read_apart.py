@@ -10,16 +10,18 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import fields
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from solver_common.arrays import Array, Index
+
 from ..study.errors import MeshError
 from ..study.shapes import VOLUME_SUFFIXES
-from .repair import CleanSurface, CleanTetrahedra
+from .repair import Clean, clean_surface, clean_tetrahedra
 
 # a sound file takes a tenth of it: text is the worst, with 100 bytes for a number of 2
 MEMORY, MEMORY_PER_BYTE = 1_000_000_000, 100
@@ -29,16 +31,15 @@ _NO_MEMORY = 3  # exit code of a reader that says so
 _DAMAGED = "it is damaged or of another kind"
 
 
-def clean_of(path: Path, repair: str = "") -> CleanSurface | CleanTetrahedra:
+def clean_of(path: Path, repair: str = "") -> Clean:
     """The closed surface, repaired as asked, or where a file has them the tetrahedra. Raises MeshError."""
-    return _unpacked(_apart(f"clean {repair}", path))
+    return Clean(*_unpacked(_apart(f"clean {repair}", path)))
 
 
-def point_fields_of(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+def point_fields_of(path: Path) -> tuple[Array, dict[str, Array]]:
     """`mesh_file.read_point_fields` of a file that may be damaged, or unpack to any size. Raises MeshError."""
-    stored = _arrays(_apart("fields", path))
-    names = json.loads(str(stored["names"]))
-    return stored["points"], {name: stored[f"field{k}"] for k, name in enumerate(names)}
+    points, _, _, fields = _unpacked(_apart("fields", path))
+    return points, fields
 
 
 def _apart(what: str, path: Path) -> bytes:
@@ -70,49 +71,33 @@ def _apart(what: str, path: Path) -> bytes:
     return ended.stdout
 
 
-def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-        if "error" in stored:
-            raise MeshError(str(stored["error"]))
-        return {name: stored[name] for name in stored}
+def _packed(
+    points: Array, cells: Index, named: Mapping[str, NDArray[Any]], repairs: Mapping[str, float]
+) -> bytes:
+    about = np.array(json.dumps([list(named), repairs]))
+    arrays = {f"named{k}": values for k, values in enumerate(named.values())}
+    return _npz(points=points, cells=cells, about=about, **arrays)
 
 
-def _packed(**arrays: Any) -> bytes:
+def _npz(**arrays: Any) -> bytes:
     file = io.BytesIO()
     np.savez(file, **arrays)
     return file.getvalue()
 
 
-def _packed_clean(clean: CleanSurface | CleanTetrahedra) -> bytes:
-    """Arrays and counts by name; of the named masks the names, and the masks one below the other."""
-    values = {field.name: getattr(clean, field.name) for field in fields(clean)}
-    groups = values.pop("groups", {})
-    values["names"] = np.array(json.dumps(list(groups)))
-    values["masks"] = np.array(list(groups.values()), dtype=bool)
-    return _packed(**values)
+def _unpacked(data: bytes) -> tuple[Array, Index, dict[str, float], dict[str, NDArray[Any]]]:
+    """Points, cells, repairs, and arrays by their names. Raises MeshError where it is a sentence."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+        if "error" in stored:
+            raise MeshError(str(stored["error"]))
+        names, repairs = json.loads(str(stored["about"]))
+        named = {name: stored[f"named{k}"] for k, name in enumerate(names)}
+        return stored["points"], stored["cells"], repairs, named
 
 
-def _packed_fields(path: Path) -> bytes:
-    from .mesh_file import read_point_fields
-
-    points, found = read_point_fields(path)
-    arrays = {f"field{k}": values for k, values in enumerate(found.values())}
-    return _packed(points=points, names=np.array(json.dumps(list(found))), **arrays)
-
-
-def _unpacked(data: bytes) -> CleanSurface | CleanTetrahedra:
-    stored = _arrays(data)
-    names, masks = stored.pop("names"), stored.pop("masks")
-    values: dict[str, Any] = {name: int(v) if v.ndim == 0 else v for name, v in stored.items()}
-    if "tetrahedra" not in values:
-        return CleanSurface(**values)
-    return CleanTetrahedra(**values, groups=dict(zip(json.loads(str(names)), masks, strict=True)))
-
-
-def read_clean(path: Path, repair: str = "") -> CleanSurface | CleanTetrahedra:
+def read_clean(path: Path, repair: str = "") -> Clean:
     """What is in a file, read in this process. Raises MeshError, and whatever the readers run into."""
     from .mesh_file import read_surface, read_tetrahedra
-    from .repair import clean_surface, clean_tetrahedra
 
     if path.suffix.lower() in VOLUME_SUFFIXES:
         return clean_tetrahedra(*read_tetrahedra(path))
@@ -124,19 +109,21 @@ def main(what: str, path: Path, memory: int) -> None:
     import resource
 
     from ..machine import limit_memory
+    from .mesh_file import read_point_fields
 
     output = os.dup(1)
     os.dup2(2, 1)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     limit_memory(memory)
     try:
-        answer = (
-            _packed_fields(path)
-            if what == "fields"
-            else _packed_clean(read_clean(path, what.removeprefix("clean ")))
-        )
+        if what == "fields":
+            points, fields = read_point_fields(path)
+            answer = _packed(points, np.empty((0, 0), dtype=np.int64), fields, {})
+        else:
+            clean = read_clean(path, what.removeprefix("clean "))
+            answer = _packed(clean.points, clean.cells, clean.groups, clean.repairs)
     except MeshError as error:
-        answer = _packed(error=np.array(str(error)))
+        answer = _npz(error=np.array(str(error)))
     except MemoryError:
         os._exit(_NO_MEMORY)  # at once: what is left to do would want memory too
     with os.fdopen(output, "wb") as file:

@@ -14,6 +14,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from .mesh import Mesh
+from .topology import half_edges
 
 
 @dataclass(frozen=True)
@@ -72,25 +73,21 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
         an old node twice
     """
     # edges of the body may join two surface nodes through the inside: only those of facets lie on the surface
-    facets = np.sort(mesh.triangles, axis=1)
-    pairs = np.unique(np.concatenate([facets[:, [0, 1]], facets[:, [1, 2]], facets[:, [0, 2]]]), axis=0)
+    pairs, number = np.unique(np.sort(half_edges(mesh.triangles), axis=1), axis=0, return_inverse=True)
     split = _split_inside if len(mesh.tetrahedra) else _split_surface
     points, tetrahedra, middles = split(mesh, mesh.surface_nodes[pairs])
     order = np.argsort(middles)
     pairs, middles = pairs[order], middles[order]
 
-    n_surface = len(mesh.surface_nodes)
-    middle_of = {tuple(pair): n_surface + k for k, pair in enumerate(pairs.tolist())}
-    triangles = []
-    for a, b, c in mesh.triangles.tolist():
-        ab, bc, ca = (middle_of[min(p, q), max(p, q)] for p, q in ((a, b), (b, c), (c, a)))
-        triangles += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
-    old = np.arange(n_surface)
+    old = np.arange(len(mesh.surface_nodes))
+    a, b, c = mesh.triangles.T
+    ab, bc, ca = (len(old) + np.argsort(order)[number.ravel()]).reshape(-1, 3).T
+    corners = [a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca]  # of four facets
     refined = Mesh(
         points=points,
         tetrahedra=tetrahedra,
         surface_nodes=np.concatenate([mesh.surface_nodes, middles]),
-        triangles=np.array(triangles),
+        triangles=np.stack(corners, axis=1).reshape(-1, 3),
         centre=mesh.centre,
     )
     return refined, np.concatenate([np.column_stack([old, old]), pairs])

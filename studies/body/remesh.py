@@ -13,7 +13,7 @@ from solver_common.arrays import Array, Index
 
 from ..study.errors import MeshError
 from .surface_measures import facet_areas
-from .topology import check_vertex_fans, consistent_orientation
+from .topology import consistent_orientation
 
 # Edges of the sampled surface are at most mesh_size / 2.5: about 17 points for each node of the new surface.
 # Fewer leave uneven triangles, more only take longer.
@@ -24,7 +24,8 @@ _ATTEMPTS = 4  # with finer samples each: clusters of a coarse sample can touch 
 
 def unit_sphere(subdivisions: int) -> tuple[Array, Index]:
     """A nearly uniform triangulation of the unit sphere, 10 * 4^subdivisions + 2 points."""
-    return _arrays(pv.Icosphere(radius=1.0, nsub=subdivisions))
+    sphere = pv.Icosphere(radius=1.0, nsub=subdivisions)
+    return np.asarray(sphere.points, dtype=np.float64), np.asarray(sphere.regular_faces, dtype=np.int64)
 
 
 def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[Array, Index]:
@@ -37,7 +38,7 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
 
     Raises MeshError where the clusters do not make one closed manifold surface.
     """
-    imported = _polydata(points, triangles)
+    imported = polydata(points, triangles)
     area = float(facet_areas(points, triangles).sum())
     n_nodes = max(round(2 / np.sqrt(3) * area / mesh_size**2), 12)
     complaint = ""
@@ -46,7 +47,7 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
         samples, sample_triangles = subdivided(
             points, triangles, longest_edge, max_points=max(_MOST_SAMPLES * n_nodes, 4 * len(points))
         )
-        clusters, weights = _clustered(_polydata(samples, sample_triangles), n_nodes)
+        clusters, weights = _clustered(polydata(samples, sample_triangles), n_nodes)
         facets = _cluster_facets(clusters[sample_triangles])
         try:
             if len(np.unique(facets)) != n_nodes:
@@ -54,7 +55,6 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
             nodes = _cluster_nodes(samples, clusters, weights)
             nodes = _closest(imported, nodes)
             facets, _ = consistent_orientation(nodes, facets)
-            check_vertex_fans(facets)
         except MeshError as error:
             complaint = str(error)
             continue
@@ -68,7 +68,7 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
 def caps(points: Array, faces: Index) -> Index:
     """Facets that close the holes of a surface, between the nodes of their rims."""
     extent = float(np.ptp(points, axis=0).max())
-    closed = pv.PolyData.from_regular_faces(points, faces.astype(int)).fill_holes(2.0 * extent)
+    closed = polydata(points, faces).fill_holes(2.0 * extent)
     found: Index = np.asarray(closed.regular_faces, dtype=faces.dtype)[len(faces) :]
     return found
 
@@ -86,8 +86,8 @@ def surface_distance(
     distances, weights, largest = [], [], np.zeros(len(other_points))
     nearest = KDTree(other_points)
     for (p, t), target in (
-        ((points, triangles), _polydata(other_points, other_triangles)),
-        ((other_points, other_triangles), _polydata(points, triangles)),
+        ((points, triangles), polydata(other_points, other_triangles)),
+        ((other_points, other_triangles), polydata(points, triangles)),
     ):
         middles = 0.5 * (p[t] + p[np.roll(t, 1, axis=1)]).reshape(-1, 3)
         probes = np.concatenate([middles, p[t].mean(axis=1), p])
@@ -97,16 +97,6 @@ def surface_distance(
         distances.append(found[: len(middles)])
         weights.append(np.repeat(facet_areas(p, t), 3))
     return float(np.average(np.concatenate(distances), weights=np.concatenate(weights))), largest
-
-
-def _polydata(points: Array, triangles: Index) -> pv.PolyData:
-    padded = np.concatenate([np.full((len(triangles), 1), 3), triangles], axis=1)
-    return pv.PolyData(points, faces=padded.ravel())
-
-
-def _arrays(surface: pv.PolyData) -> tuple[Array, Index]:
-    triangles = np.asarray(surface.faces).reshape(-1, 4)[:, 1:] if surface.n_cells else np.empty((0, 3))
-    return np.asarray(surface.points, dtype=np.float64), triangles.astype(np.int64)
 
 
 def _closest(surface: pv.PolyData, points: Array) -> Array:
@@ -183,9 +173,8 @@ def _cluster_facets(corners: Index) -> Index:
     return np.unique(np.take_along_axis(corners, (start[:, None] + np.arange(3)) % 3, axis=1), axis=0)
 
 
-def polydata(points: Array, triangles: Index, fields: Mapping[str, Array]) -> pv.PolyData:
+def polydata(points: Array, triangles: Index, fields: Mapping[str, Array] | None = None) -> pv.PolyData:
     """A surface with fields at its nodes, (N,) or (N, 3)."""
-    surface = pv.PolyData.from_regular_faces(points, triangles.tolist())
-    for name, values in fields.items():
-        surface.point_data[name] = values
+    surface = pv.PolyData.from_regular_faces(points, triangles.astype(int))
+    surface.point_data.update(fields or {})
     return surface

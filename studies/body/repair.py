@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from ..study.errors import MeshError
 from .surface_measures import facet_areas, pieces
 from .topology import (
     check_finite,
-    check_vertex_fans,
     consistent_orientation,
     half_edges,
     tetrahedron_volumes,
@@ -23,31 +22,24 @@ _SAME_POINT = 1e-6  # of the largest extent: single precision (STL) keeps about 
 
 
 @dataclass(frozen=True)
-class CleanTetrahedra:
-    """Positive tetrahedra that use every point, named sets of points, and what was done to get there."""
+class Clean:
+    """What a file holds, made clean; every point is used.
+
+    Attributes
+    ----------
+    points : (n, 3), in the file's unit
+    cells : (F, 3) facets of a closed, manifold surface, outward, or (m, 4) positive tetrahedra
+    repairs : how many points, facets and tetrahedra were merged, dropped, turned or added
+    groups : named sets of points, (n,) masks
+    """
 
     points: Array
-    tetrahedra: Index
-    groups: dict[str, Mask]
-    points_dropped: int
-    tetrahedra_turned: int
+    cells: Index
+    repairs: dict[str, float]
+    groups: dict[str, Mask] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class CleanSurface:
-    """A closed, manifold surface that points away from its body, and what was done to get it."""
-
-    points: Array
-    triangles: Index
-    points_merged: int
-    points_dropped: int
-    facets_dropped: int
-    facets_flipped: int
-    facets_of_other_pieces: int = 0
-    facets_added: int = 0
-
-
-def clean_surface(points: Array, triangles: Index, repair: str = "") -> CleanSurface:
+def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:
     """Merge equal points, drop facets without area, repeated facets and unused points, face all outward.
 
     Parameters
@@ -84,20 +76,18 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> CleanSur
     kept, local = np.unique(faces, return_inverse=True)
     clean_points = points[used][kept]
     outward, flipped = consistent_orientation(clean_points, local.reshape(-1, 3))
-    check_vertex_fans(outward)
-    return CleanSurface(
-        clean_points,
-        outward,
-        points_merged=int(np.count_nonzero(target != np.arange(len(used)))),
-        points_dropped=len(points) - len(used),
-        facets_dropped=len(triangles) - sound,
-        facets_flipped=flipped,
-        facets_of_other_pieces=sound - in_piece,
-        facets_added=len(faces) - in_piece,
-    )
+    repairs = {
+        "points_merged": int(np.count_nonzero(target != np.arange(len(used)))),
+        "points_dropped": len(points) - len(used),
+        "facets_dropped": len(triangles) - sound,
+        "facets_flipped": flipped,
+        "facets_of_other_pieces": sound - in_piece,
+        "facets_added": len(faces) - in_piece,
+    }
+    return Clean(clean_points, outward, {name: float(count) for name, count in repairs.items()})
 
 
-def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask]) -> CleanTetrahedra:
+def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask]) -> Clean:
     """Drop unused points and repeated tetrahedra; where all are inverted (numbered the other way) turn all.
 
     Raises MeshError for no tetrahedra, and for such as name points that do not exist.
@@ -116,13 +106,9 @@ def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask
     inverted = int(np.count_nonzero(volumes < 0))
     if inverted == len(tetrahedra):
         tetrahedra = tetrahedra[:, [0, 2, 1, 3]]
-    return CleanTetrahedra(
-        points[used],
-        tetrahedra,
-        {name: mask[used] for name, mask in groups.items()},
-        points_dropped=len(points) - len(used),
-        tetrahedra_turned=inverted if inverted == len(tetrahedra) else 0,
-    )
+    turned = inverted if inverted == len(tetrahedra) else 0
+    repairs = {"points_dropped": float(len(points) - len(used)), "tetrahedra_turned": float(turned)}
+    return Clean(points[used], tetrahedra, repairs, {name: mask[used] for name, mask in groups.items()})
 
 
 def _largest_piece(points: Array, faces: Index) -> Index:

@@ -126,8 +126,10 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
     """Facets turned so that all point away from the body, and how many were turned.
 
     Closed pieces within the outer one, and not within each other, are the walls of cavities, and point into these.
+    Ours: trimesh's repair of winding tells neither a one-sided surface, nor a cavity from a piece beside the body.
 
-    Raises MeshError for an open, non-manifold or one-sided surface, pieces beside each other, or no volume inside.
+    Raises MeshError for an open, non-manifold or one-sided surface, pieces beside each other, parts that touch at a
+    vertex only, or no volume inside.
     """
     first, second, same_way = facet_pairs(points, triangles)
     n_facets = len(triangles)
@@ -154,6 +156,7 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
         places = points[wall[:: len(wall) // _MOST_PLACES + 1]]
         if not (np.round(solid_angles(places, points, turned[piece.ravel() != k])) == 1).all():
             raise separate_pieces(points, triangles, lowest)
+    check_vertex_fans(turned)
     return np.ascontiguousarray(turned), int(np.count_nonzero(side))
 
 
@@ -210,31 +213,18 @@ def mesh_from_tetrahedra(
     check_finite(points)
     check_tetrahedra(points, tetrahedra)
     triangles = boundary_triangles(tetrahedra)
-    outward, turned = consistent_orientation(points, triangles)
+    _, turned = consistent_orientation(points, triangles)
     if turned:
         raise MeshError(
             "the tetrahedra overlap: their boundary does not face outward everywhere; remesh the volume"
         )
-    check_vertex_fans(outward)
-    surface_nodes, local = np.unique(triangles, return_inverse=True)
-    on_surface = {name: mask[surface_nodes] for name, mask in (groups or {}).items()}
+    figures = {"worst_sicn": float(tetrahedron_sicn(points, tetrahedra).min()), **(quality or {})}
+    mesh = _described(points, tetrahedra, triangles, figures)
+    on_surface = {name: mask[mesh.surface_nodes] for name, mask in (groups or {}).items()}
     volumes = {name: np.all(mask[tetrahedra], axis=1) for name, mask in (groups or {}).items()}
-    figures = {
-        "points": float(len(points)),
-        "tetrahedra": float(len(tetrahedra)),
-        "surface_nodes": float(len(surface_nodes)),
-        "triangles": float(len(triangles)),
-        "volume": enclosed_volume(points, triangles),
-        "area": float(facet_areas(points, triangles).sum()),
-        "worst_sicn": float(tetrahedron_sicn(points, tetrahedra).min()),
-    }
-    return Mesh(
-        points=np.ascontiguousarray(points, dtype=np.float64),
-        tetrahedra=np.ascontiguousarray(tetrahedra, dtype=np.int64),
-        surface_nodes=surface_nodes.astype(np.int64),
-        triangles=np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
+    return replace(
+        mesh,
         groups={name: mask for name, mask in on_surface.items() if mask.any()},
-        quality={**figures, **(quality or {})},
         volumes={name: mask for name, mask in volumes.items() if mask.any()},
     )
 
@@ -245,23 +235,26 @@ def mesh_from_triangles(
     """The Mesh of a closed surface without an inside; the checks are those of `mesh_from_tetrahedra`."""
     check_finite(points)
     outward, _ = consistent_orientation(points, triangles)
-    check_vertex_fans(outward)
-    outward = canonical_triangles(outward)
-    _, local = np.unique(outward, return_inverse=True)
+    return _described(points, np.empty((0, 4), dtype=np.int64), canonical_triangles(outward), quality or {})
+
+
+def _described(points: Array, tetrahedra: Index, triangles: Index, quality: Mapping[str, float]) -> Mesh:
+    """The Mesh with its counts and measures; `triangles` are of the points."""
+    surface_nodes, local = np.unique(triangles, return_inverse=True)
     figures = {
         "points": float(len(points)),
-        "tetrahedra": 0.0,
-        "surface_nodes": float(len(points)),
-        "triangles": float(len(outward)),
-        "volume": enclosed_volume(points, outward),
-        "area": float(facet_areas(points, outward).sum()),
+        "tetrahedra": float(len(tetrahedra)),
+        "surface_nodes": float(len(surface_nodes)),
+        "triangles": float(len(triangles)),
+        "volume": enclosed_volume(points, triangles),
+        "area": float(facet_areas(points, triangles).sum()),
     }
     return Mesh(
         points=np.ascontiguousarray(points, dtype=np.float64),
-        tetrahedra=np.empty((0, 4), dtype=np.int64),
-        surface_nodes=np.arange(len(points), dtype=np.int64),
+        tetrahedra=np.ascontiguousarray(tetrahedra, dtype=np.int64),
+        surface_nodes=surface_nodes.astype(np.int64),
         triangles=np.ascontiguousarray(local.reshape(-1, 3), dtype=np.int64),
-        quality={**figures, **(quality or {})},
+        quality={**figures, **quality},
     )
 
 

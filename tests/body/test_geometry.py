@@ -21,7 +21,7 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache, read_mesh, write_mesh
 from vdmbench.body.read_apart import clean_of
 from vdmbench.body.remesh import unit_sphere
-from vdmbench.body.repair import CleanSurface, CleanTetrahedra
+from vdmbench.body.repair import Clean
 from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
 from vdmbench.body.topology import tetrahedron_sicn, tetrahedron_volumes
 from vdmbench.study import shapes
@@ -225,7 +225,7 @@ def test_a_file_is_read_once_for_several_mesh_sizes(tmp_path: Path, monkeypatch:
     """As long as its bytes are the same, whatever its path says."""
     reads: list[Path] = []
 
-    def reading(path: Path, repair: str) -> CleanSurface | CleanTetrahedra:
+    def reading(path: Path, repair: str) -> Clean:
         reads.append(path)
         return clean_of(path, repair)
 

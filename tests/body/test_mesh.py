@@ -190,13 +190,17 @@ def test_soup_becomes_a_clean_surface() -> None:
     facets = np.concatenate([facets[:, ::-1], facets[:5], [[0, 1, 1]]])  # inside out, 5 repeated, one a line
     clean = clean_surface(np.concatenate([soup, [[7.0, 7, 7]]]), facets)
     assert len(clean.points) == len(points)
-    assert len(clean.triangles) == len(triangles)
-    assert clean.points_dropped == 1
-    assert clean.points_merged == len(soup) - len(points)
-    assert clean.facets_dropped == 6
-    assert clean.facets_flipped == len(triangles)
+    assert len(clean.cells) == len(triangles)
+    assert clean.repairs == {
+        "points_dropped": 1,
+        "points_merged": len(soup) - len(points),
+        "facets_dropped": 6,
+        "facets_flipped": len(triangles),
+        "facets_of_other_pieces": 0,
+        "facets_added": 0,
+    }
     assert_allclose(
-        enclosed_volume(clean.points, clean.triangles), enclosed_volume(points, triangles), rtol=1e-7, atol=0
+        enclosed_volume(clean.points, clean.cells), enclosed_volume(points, triangles), rtol=1e-7, atol=0
     )
 
 
@@ -205,7 +209,7 @@ def test_a_double_fin_is_removed() -> None:
     a, b = triangles[0, :2]
     fin = [[a, b, len(points)], [b, a, len(points)]]
     clean = clean_surface(np.concatenate([points, [[3.0, 0, 0]]]), np.concatenate([triangles, fin]))
-    assert_array_equal(canonical_triangles(clean.triangles), canonical_triangles(triangles))
+    assert_array_equal(canonical_triangles(clean.cells), canonical_triangles(triangles))
 
 
 @pytest.mark.parametrize(
@@ -230,9 +234,9 @@ def test_tetrahedra_are_cleaned() -> None:
     points = np.concatenate([[[9.0, 9, 9]], points])
     mirrored = tetrahedra[:, [1, 0, 2, 3]] + 1
     clean = clean_tetrahedra(points, np.concatenate([mirrored, mirrored[:2]]), {"low": points[:, 2] == 0})
-    assert (clean.points_dropped, clean.tetrahedra_turned) == (1, 5)
+    assert clean.repairs == {"points_dropped": 1, "tetrahedra_turned": 5}
     assert_array_equal(clean.points, cube()[0])
-    assert_allclose(tetrahedron_volumes(clean.points, clean.tetrahedra).sum(), 1, rtol=1e-14, atol=0)
+    assert_allclose(tetrahedron_volumes(clean.points, clean.cells).sum(), 1, rtol=1e-14, atol=0)
     assert_array_equal(clean.groups["low"], cube()[0][:, 2] == 0)
 
 

@@ -17,7 +17,6 @@ from tests.bodies import shaped
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.read_apart import read_clean
-from vdmbench.body.repair import CleanTetrahedra
 from vdmbench.body.topology import mesh_from_tetrahedra, mesh_from_triangles
 from vdmbench.study.errors import MeshError
 
@@ -56,10 +55,10 @@ def read(path: Path) -> str:
     """ "sound" where the file is read, and then checked, else the sentence that refuses it."""
     try:
         body = read_clean(path)
-        if isinstance(body, CleanTetrahedra):
-            mesh = mesh_from_tetrahedra(body.points, body.tetrahedra, groups=body.groups)
+        if body.cells.shape[1] == 4:
+            mesh = mesh_from_tetrahedra(body.points, body.cells, groups=body.groups)
         else:
-            mesh = mesh_from_triangles(body.points, body.triangles)
+            mesh = mesh_from_triangles(body.points, body.cells)
     except MeshError as error:
         return str(error)
     except MemoryError:
