@@ -61,7 +61,7 @@ class Results:
         Lengths are in metres; those of a body from a file in the file's unit, so that the mesh lies on the scan.
         """
         from .body.remesh import polydata
-        from .report.case_surface import mesh_names, surface_fields
+        from .report.export import mesh_names, surface_fields
 
         found = {}
         for name, case in mesh_names(self.data.cases):

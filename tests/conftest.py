@@ -16,7 +16,7 @@ from vdmbench.body import imported
 from vdmbench.body.read_apart import read_clean
 from vdmbench.machine import lock
 from vdmbench.models import frames
-from vdmbench.report import raster
+from vdmbench.report import picture
 
 ROOT = Path(__file__).parents[1]
 if Path(vdmbench.__file__).resolve().parent != ROOT / "studies":
@@ -25,7 +25,7 @@ if Path(vdmbench.__file__).resolve().parent != ROOT / "studies":
     )
 
 # what takes half a small run: frames are timed once, not for seconds, and pictures have hard outlines
-frames.MOST, raster.FINER = 0.0, 1
+frames.MOST, picture.FINER = 0.0, 1
 
 pytest_plugins = ["tests.verification.records"]
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from solver_common.solution import Status
 from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, SmallStrainLimits
-from vdmbench.measures.input_spread import InputSpread, ModelSpread
-from vdmbench.measures.measurement import Measurement, Quantity
+from vdmbench.measures.measurement import InputSpread, Measurement, ModelSpread, Quantity
 from vdmbench.scene.result import ModelResult
 from vdmbench.study.config import resolved
 from vdmbench.study.schema import Study

@@ -19,8 +19,8 @@ from tools.documents import CASES, ROOT, table
 from tools.evidence import EVIDENCE, MEASURES, ran_text
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.surface_measures import Surface, deformations, weighted_norm, weighted_norms
-from vdmbench.measures.bars import value_bar
 from vdmbench.measures.case import CaseResult
+from vdmbench.measures.frame import value_bar
 from vdmbench.measures.metrics import METRICS, VECTOR, History, evaluate_all
 from vdmbench.measures.uncertainty import REASONABLE_ORDERS, estimate_error
 from vdmbench.scene.result import ModelResult

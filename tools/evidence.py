@@ -21,8 +21,8 @@ import numpy as np
 import tomli_w
 
 from tools.documents import CASES, ROOT, RUNS, finished, show, table
-from vdmbench.measures.bars import reference_bar, value_bar, where_reached
 from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.frame import reference_bar, value_bar, where_reached
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.store.cases import read_run

@@ -12,8 +12,8 @@ import tomli_w
 
 from tools.documents import ROOT, RUNS, finished, show, table
 from tools.evidence import EVIDENCE, MEASURES, kept, slashed
-from vdmbench.measures.bars import reference_bar, series
 from vdmbench.measures.case import CaseResult
+from vdmbench.measures.frame import reference_bar, series
 from vdmbench.store.cases import read_run
 
 OWN = EVIDENCE["parts"]

@@ -321,8 +321,7 @@ def export_files(options: argparse.Namespace) -> int:
 
 def _export_run(options: argparse.Namespace, out: Path) -> int:
     from ..body.mesh_file import write_surface_vtu
-    from ..report.case_surface import mesh_names, surface_fields, unit_of
-    from ..report.export import exported
+    from ..report.export import exported, mesh_names, surface_fields, unit_of
     from ..store.cases import read_run
 
     path = given_run_directory(options.study)

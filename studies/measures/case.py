@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from solver_common.arrays import Array
 
 from ..scene.result import ModelResult
-from .input_spread import InputSpread
-from .measurement import Measurement
+from .measurement import InputSpread, Measurement
 from .metrics import full_load_step
 
 if TYPE_CHECKING:

@@ -157,7 +157,6 @@ class Figures:
     template: ClassVar[str] = "figures"
     figures: Sequence[Figure]
     legend: Sequence[tuple[int, str, bool]] = ()
-    summary: str = ""  # folded away under this where given
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from ..verdict.formatting import (
 from ..verdict.verdict import Limit, Verdicts, verdicts
 from ..verdict.words import TITLES, said, told, why_not
 from .blocks import Cell, Field, Section, Table, Text, frame_table, spread_cell
-from .section_cases import stopped_models
-from .section_cost import time_notes
+from .section_charts import time_notes
+from .section_tables import stopped_models
 
 TONES = {"yes": "good", "no": "bad", "not judged": "muted"}
 

@@ -26,19 +26,24 @@ from ..verdict.words import BESIDE, told
 from . import headline, picture
 from .blocks import Section, Viewer
 from .picture import COLOUR_MAPS
-from .plots import shape
-from .section_appendix import how_to_reproduce, provenance
-from .section_cases import case_table, failures
-from .section_cost import run_time_against_error
-from .section_errors import error_against_load, error_against_parameters
-from .section_force import force_against_indentation
-from .section_inputs import inputs
-from .section_limits import small_strain_limits
-from .section_measurement import against_measurement
-from .section_measures import all_measures
+from .plots import MARKER_PATHS, shape
+from .section_charts import (
+    error_against_load,
+    error_against_parameters,
+    force_against_indentation,
+    run_time_against_error,
+)
+from .section_measurement import against_measurement, inputs
 from .section_scene import scene
+from .section_tables import (
+    all_measures,
+    case_table,
+    failures,
+    how_to_reproduce,
+    provenance,
+    small_strain_limits,
+)
 from .section_view import heading, still, surfaces
-from .svg import MARKER_PATHS
 
 
 class PictureError(ValueError):
@@ -172,21 +177,9 @@ def encoded(text: str) -> bytes:
     return text.encode("utf-8", "replace")
 
 
-_VIEWER = (
-    "viewer_data.js",
-    "viewer_gl.js",
-    "viewer_labels.js",
-    "viewer.js",
-    "viewer_controls.js",
-)
-
-
 def _scripts() -> list[Markup]:
-    viewer = Markup("\n").join(asset(name) for name in _VIEWER)
-    return [
-        asset("page.js") + asset("charts.js"),
-        Markup('"use strict";\n(() => {\n{}})();\n').replace("{}", viewer, 1),
-    ]
+    viewer = asset("viewer_draw.js") + "\n" + asset("viewer.js")
+    return [asset("page.js"), Markup('"use strict";\n(() => {\n{}})();\n').replace("{}", viewer, 1)]
 
 
 def _policy(scripts: list[Markup]) -> str:

@@ -1,4 +1,4 @@
-"""Still pictures of the key cases, for print and where WebGL is missing."""
+"""Pictures without OpenGL: lit triangles as pixels by matplotlib's rasteriser, and stills of the key cases."""
 
 from __future__ import annotations
 
@@ -13,14 +13,71 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
+from matplotlib.transforms import IdentityTransform
+
+from solver_common.arrays import Array
 
 from ..verdict.formatting import quantity, scale_of
-from . import raster
 from .blocks import Still
+
+ELEVATION = np.radians(22.0)
+FINER = 2  # drawn so many times as large, then averaged: smooth outlines
+AMBIENT = 0.5  # share of the light that comes from everywhere; the rest comes from above the viewer
+_LIGHT = np.array([0.15, 0.6, 0.786])  # unit vector: right, up, towards the viewer
+_Renderer: Any = RendererAgg  # which matplotlib has no types of
+
+
+def directions(azimuth: float, elevation: float = ELEVATION) -> Array:
+    """(3, 3) rows: unit vectors to the right, up and towards the viewer, seen from an azimuth about z [rad]."""
+    cos, sin, level, rise = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    return np.array([[-sin, cos, 0.0], [-cos * rise, -sin * rise, level], [cos * level, sin * level, rise]])
+
+
+def drawn(
+    seen: Array,
+    triangles: np.ndarray,
+    colours: Array,
+    scale: float,
+    shift: Array,
+    width: int,
+    height: int,
+    ambient: float = AMBIENT,
+) -> np.ndarray:
+    """(height, width, 4) pixels of 0 to 255 of lit triangles on a transparent ground.
+
+    `seen` are (N, 3) points along `directions`, of which `scale * right + shift` and so on are pixels, counted from
+    the lower left; `colours` are (F, 3, 4) RGBA of the corners, between 0 and 1. Width and
+    height are those of the result.
+    """
+    corners = seen[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    front = np.flatnonzero((normals[:, 2] > 0) & (lengths > 0))
+    front = front[np.argsort(corners[front, :, 2].mean(axis=1), kind="stable")]
+    lit = np.clip(normals[front] @ _LIGHT / lengths[front], 0.0, None)
+    shaded = np.array(colours[front], dtype=np.float64)
+    shaded[:, :, :3] *= np.minimum(ambient + (1.05 - ambient) * lit, 1.0)[:, None, None]
+    renderer = _Renderer(FINER * width, FINER * height, 72)
+    renderer.draw_gouraud_triangles(
+        renderer.new_gc(), FINER * (scale * corners[front, :, :2] + shift), shaded, IdentityTransform()
+    )
+    return averaged(np.asarray(renderer.buffer_rgba()))
+
+
+def averaged(drawn: np.ndarray) -> np.ndarray:
+    """Blocks of pixels as one, their colours weighed by their alpha: what is transparent has no colour to give."""
+    height, width, _ = drawn.shape
+    blocks = drawn.reshape(height // FINER, FINER, width // FINER, FINER, 4).astype(np.float32)
+    alpha = blocks[..., 3:]
+    colours = (blocks[..., :3] * alpha).sum(axis=(1, 3)) / np.maximum(alpha.sum(axis=(1, 3)), 1.0)
+    pixels = np.concatenate([colours, alpha.mean(axis=(1, 3))], axis=2)
+    return np.floor(pixels + 0.5).astype(np.uint8)
+
 
 COLOUR_MAPS = ("viridis", "inferno")  # of displacements, of differences
 _PANEL = 420  # pixels
@@ -90,16 +147,16 @@ def _figure(panels: Sequence[Panel], heading: Sequence[str]) -> Figure:
 def _drawings(panels: Sequence[Panel]) -> list[np.ndarray]:
     """(height, width, 4) pixels of each panel, all to one scale."""
     everything = np.concatenate([panel.points for panel in panels])
-    axes = raster.directions(panels[0].azimuth)
+    axes = directions(panels[0].azimuth)
     low, high = (f(everything @ axes.T, axis=0) for f in (np.min, np.max))
     half_width, half_height = np.maximum(_MARGIN * (high - low)[:2] / 2, 1e-12)
     height = round(_PANEL * float(np.clip(half_height / half_width, *_SHAPES)))
-    fine = raster.FINER * np.array([_PANEL, height])
-    scale = float(0.5 * np.min(fine / [half_width, half_height]))  # pixels per metre
-    shift = fine / 2 - scale * (low + high)[:2] / 2
+    extent = np.array([_PANEL, height])
+    scale = float(0.5 * np.min(extent / [half_width, half_height]))  # pixels per metre
+    shift = extent / 2 - scale * (low + high)[:2] / 2
     pictures = []
     for panel in panels:
         colours = colormaps[panel.colour_map](np.clip(panel.values, 0.0, 1.0))[panel.triangles]
         seen = panel.points @ axes.T
-        pictures.append(raster.drawn(seen, panel.triangles, colours, scale, shift, _PANEL, height))
+        pictures.append(drawn(seen, panel.triangles, colours, scale, shift, _PANEL, height))
     return pictures

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import math
+import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
@@ -31,22 +34,29 @@ from ..verdict.digest import REFERENCE, Digest
 from ..verdict.formatting import listed, plain, quantity, short_percent
 from ..verdict.palette import COLOURS
 from .blocks import Figure
-from .svg import GRID, ID, INK, MODELS, STYLE, for_the_page, svg_of
-from .svg import REFERENCE as REFERENCE_COLOUR
 
-_MOST_TICKS = 16
-_MOST_NAMED = 8  # curves of a chart; of more the legend tells
-_LETTER, _HIGH, _GAP = 4.5, 8.5, 4.0  # points: of a name, and how far it is from its point
-_MOST_MARKED = 25  # points of a line
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-LINES = ("-", "--", "-.", ":")
-_WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
-# the same for all plots, so that their axes line up on the page; room for a label and ticks of eight characters
-_MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
-_LABELS = 0.045, 0.066  # how far the axes' labels are from the left and from the bottom
-_BOTTOM_FOR_SLANTED_NAMES = 0.34
-_STYLE: Any = {
-    **STYLE,
+ID = "told:"  # how the id of a curve begins whose words the page's script shows
+# drawn in these, shown in the page's
+INK, GRID, REFERENCE_COLOUR = "#010203", "#020304", "#030405"
+MODELS = tuple(f"#0405{k:02x}" for k in range(COLOURS))
+# the markers of the charts, o s ^ D v P X, in a box of 14 by 10 around (7, 5)
+MARKER_PATHS = (
+    "M7 1.2a3.8 3.8 0 1 1-.01 0Z",
+    "M3.4 1.4h7.2v7.2h-7.2Z",
+    "M7 .8 11.2 9H2.8Z",
+    "M7 .4 11.6 5 7 9.6 2.4 5Z",
+    "M7 9.2 2.8 1h8.4Z",
+    "M5.6 1h2.8v2.6h2.6v2.8H8.4V9H5.6V6.4H3V3.6h2.6Z",
+    "M4.8.8 7 3 9.2.8 11.2 2.8 9 5l2.2 2.2-2 2L7 7 4.8 9.2l-2-2L5 5 2.8 2.8Z",
+)
+STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "sheet",
+    "font.family": "DejaVu Sans",
+    "font.size": 8.3,
+    "text.color": INK,
+    "text.parse_math": False,
+    "axes.unicode_minus": True,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
     "xtick.color": INK,
@@ -63,6 +73,70 @@ _STYLE: Any = {
     "lines.linewidth": 1.6,
     "lines.markersize": 4.5,
 }
+
+
+def svg_of(figure: Canvas) -> str:
+    """The SVG file of a figure, to be drawn inside `rc_context(STYLE)`."""
+    out = io.StringIO()
+    metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with warnings.catch_warnings():
+        # a glyph that matplotlib's own font lacks is drawn by the browser's
+        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
+        figure.savefig(out, format="svg", metadata=metadata, transparent=True)
+    return out.getvalue()
+
+
+def for_the_page(svg: str, alt: str, salt: str, attributes: str = "") -> Markup:
+    """The <svg> element of a drawing with the page's colours, sized by CSS, ids unique on the page.
+
+    `alt` says in words what it shows; `attributes` are further ones for scripts. Matplotlib has escaped the
+    texts of the drawing.
+    """
+    # bare lines first: of patterns that begin with white space each takes as long as all of these together
+    svg = "\n".join(filter(None, map(str.strip, svg[svg.index("<svg") :].split("\n"))))
+    view_box = re.search(r'viewBox="([^"]+)"', svg)
+    box = view_box.group(1) if view_box else ""
+    svg = svg[svg.index(">") + 1 :]
+    svg = svg.replace("xlink:href=", "href=")
+    told = re.findall(rf' id="{ID}([^"]*)"', svg)
+    svg = re.sub(rf' id="{ID}[^"]*"', f" {_TOLD}", svg)
+    names = dict.fromkeys(re.findall(r' id="([^"]+)"', svg))
+    used = {*re.findall(r"url\(#([^)]+)\)", svg), *re.findall(r'href="#([^"]+)"', svg)}
+    short = {name: f"{salt}-{k}" for k, name in enumerate(n for n in names if n in used)}
+    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{short[m[1]]}"' if m[1] in short else "", svg)
+    svg = re.sub(r"url\(#([^)]+)\)", lambda m: f"url(#{short[m[1]]})", svg)
+    svg = re.sub(r'href="#([^"]+)"', lambda m: f'href="#{short[m[1]]}"', svg)
+    colours = {INK: "var(--ink)", GRID: "var(--grid)", REFERENCE_COLOUR: "var(--reference)"}
+    colours |= {code: f"var(--model-{k})" for k, code in enumerate(MODELS)}
+    for code, variable in colours.items():
+        svg = svg.replace(code, variable)
+    svg = re.sub(r"\n<style.*?</style>", "", svg, flags=re.S)
+    svg = re.sub(r" font-family: [^;\"]+;?", "", svg)
+    svg = _TAG.sub(lambda tag: _BEYOND_HUNDREDTHS.sub("", tag[0]), svg)  # not in its texts
+    svg = re.sub(r' transform="rotate\(-0 [^"]*"', "", svg)
+    for text in told:
+        svg = svg.replace(_TOLD, f'data-told="{text}"', 1)
+    return Markup(
+        f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}" class="plot"{attributes}>{svg}\n'
+    )
+
+
+_TOLD = "\ue001"  # where a curve's words come back
+_TAG = re.compile(r"<[^>]*>")
+_BEYOND_HUNDREDTHS = re.compile(r"(?<=\d\.\d\d)\d+")
+
+
+_MOST_TICKS = 16
+_MOST_NAMED = 8  # curves of a chart; of more the legend tells
+_LETTER, _HIGH, _GAP = 4.5, 8.5, 4.0  # points: of a name, and how far it is from its point
+_MOST_MARKED = 25  # points of a line
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+LINES = ("-", "--", "-.", ":")
+_WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
+# the same for all plots, so that their axes line up on the page; room for a label and ticks of eight characters
+_MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
+_LABELS = 0.045, 0.066  # how far the axes' labels are from the left and from the bottom
+_BOTTOM_FOR_SLANTED_NAMES = 0.34
 
 
 def colour(model: int) -> str:
@@ -98,7 +172,7 @@ class Plot:
     def __init__(self, x_label: str, y_label: str, salt: str) -> None:
         self.salt = salt
         self._svg, self._for_script = "", ""
-        self._style = rc_context(_STYLE)
+        self._style = rc_context(STYLE)
         self._labels = (shortened(x_label, 60), shortened(y_label, 40))
 
     def __enter__(self) -> Axes:

@@ -26,8 +26,8 @@ from solver_common.arrays import Array
 
 from ..body.surface_measures import facet_area_vectors
 from ..verdict.formatting import plain, scale_of
-from . import raster
-from .svg import INK, STYLE, for_the_page, svg_of
+from .picture import directions, drawn
+from .plots import INK, STYLE, for_the_page, svg_of
 
 # kind of a constraint -> (what it is called, colour); told apart by colour-blind readers, on light and dark ground
 KINDS = {
@@ -114,7 +114,7 @@ class Stage:
         self.size = max(float(np.linalg.norm(np.ptp(points, axis=0))), 1e-12)
         self.arrows = [arrow for part in parts for arrow in self._arrows(part)]
         self.azimuth, elevation = self._camera()
-        self.axes = raster.directions(self.azimuth, elevation)
+        self.axes = directions(self.azimuth, elevation)
         self.seen = points @ self.axes.T
 
     @cached_property
@@ -143,7 +143,7 @@ class Stage:
         """Azimuth and elevation [rad] of the camera: a later one is taken where it shows clearly more."""
         best, most = (_AZIMUTHS[0], _ELEVATIONS[0]), -1.0
         for camera in ((azimuth, elevation) for elevation in _ELEVATIONS for azimuth in _AZIMUTHS):
-            shown = self._shown(raster.directions(*camera))
+            shown = self._shown(directions(*camera))
             if shown > _CLEARLY * most:
                 best, most = camera, shown
         return float(best[0]), float(best[1])
@@ -274,10 +274,8 @@ def _draw_body(axes: Axes, stage: Stage) -> None:
     colours = np.tile(to_rgba(BODY), (len(stage.triangles), 3, 1))
     for part in stage.parts:
         colours[stage.facets(part)] = to_rgba(part.colour)
-    scale = raster.FINER * _PIXELS / width
-    pixels = raster.drawn(
-        stage.seen, stage.triangles, colours, scale, -scale * low, _PIXELS, n_rows, _AMBIENT
-    )
+    scale = _PIXELS / width
+    pixels = drawn(stage.seen, stage.triangles, colours, scale, -scale * low, _PIXELS, n_rows, _AMBIENT)
     axes.imshow(pixels, extent=(low[0], high[0], low[1], high[1]), interpolation="nearest", aspect="equal")
     for part in stage.parts:
         edges, facing = stage.outline(part)

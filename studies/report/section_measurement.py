@@ -1,4 +1,4 @@
-"""Models against a measurement: what was measured, what each says of it, and whether the error can be told."""
+"""Models against a measurement, and what is not known of the inputs, each beside the errors."""
 
 from __future__ import annotations
 
@@ -13,13 +13,24 @@ from matplotlib.axes import Axes
 from solver_common.arrays import Array, Index
 
 from ..measures.case import CaseResult
-from ..measures.measurement import FORCE, Measurement, Quantity
+from ..measures.measurement import FORCE, STRAIGHT, InputSpread, Measurement, Quantity
+from ..measures.metrics import VECTOR
 from ..study.measured import AXES
 from ..verdict.digest import Digest
-from ..verdict.formatting import NOTHING, listed, plain, quantity, scale_of, short_percent
+from ..verdict.formatting import (
+    NOTHING,
+    input_name,
+    listed,
+    percent,
+    plain,
+    plural,
+    quantity,
+    scale_of,
+    short_percent,
+    swept_value,
+)
 from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table
-from .plots import Curve, lines, name_ticks
-from .svg import INK
+from .plots import INK, Curve, lines, name_ticks
 
 _MOST_DRAWN = 40  # quantities of a figure
 _READING = (
@@ -195,3 +206,68 @@ def _draw_measured(axes: Axes, x: Array, values: Array, bars: Array, names: list
     else:
         axes.set_xlim(left=0.0)
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+
+
+_OF_INPUTS = (
+    "Each share is a standard deviation over the displacement, area-weighted, at full load. {how} {variations} of "
+    "each case were computed. The error of a model is its displacement error against the reference. An error below "
+    "what is not known of the inputs cannot be told from another tissue."
+)
+_HOW = {
+    "sensitivities": "It is from the answers with one input at a time higher and lower, so of first order.",
+    "sampling": "It is the spread of the answers to random values of all inputs.",
+}
+
+
+def inputs(digest: Digest) -> Section | None:
+    """The first case that tells how well its inputs are known, a key case if there is one; None where none does."""
+    cases = [*(case for _, case in digest.key_cases), *digest.cases]
+    case = next((case for case in cases if case.inputs is not None), None)
+    if case is None or (first := case.inputs) is None:
+        return None
+    caption = digest.case_name(case) if len(digest.cases) > 1 else ""
+    blocks: list[Block] = [_table(digest, case, first, "inputs", caption)]
+    notes = [_OF_INPUTS.format(how=_HOW[first.method], variations=plural(first.variations, "variation"))]
+    if any(model.bend > STRAIGHT for model in first.models.values()):
+        notes.append(
+            'An answer bends with an input, so this is rough: inputs.method = "sampling" does better.'
+        )
+    if still := _moves_nothing(first):
+        notes.append(
+            f"A region takes whole nodes, and {listed(still)} moves none of this mesh: "
+            "a smaller mesh_size resolves it."
+        )
+    return Section(
+        "inputs", "What is not known of the inputs", [*blocks, *(Text(note, kind="note") for note in notes)]
+    )
+
+
+def _moves_nothing(spread: InputSpread) -> list[str]:
+    """The places of regions that change no answer at all."""
+    return [
+        key
+        for k, key in enumerate(spread.keys)
+        if key.startswith("regions.") and all(found.parts[k] == 0.0 for found in spread.models.values())
+    ]
+
+
+def _table(digest: Digest, case: CaseResult, spread: InputSpread, name: str, caption: str) -> Table:
+    def part(k: int) -> Any:
+        return lambda model: float(spread.models[model].parts[k])
+
+    def error(model: str) -> Cell:
+        value = digest.at(case, model, VECTOR)
+        lost = math.isfinite(value) and value < spread.models[model].displacement
+        return Cell(percent(value), "below what is not known" if lost else "", value)
+
+    fields = [Field("Model", lambda model: model)]
+    for k, (key, unit) in enumerate(zip(spread.keys, spread.units, strict=True)):
+        value, deviation = float(spread.values[k]), float(f"{spread.deviations[k]:.3g}")
+        known = f"{swept_value(value, unit)} ± {swept_value(deviation, unit)}"
+        fields.append(Field(input_name(key), part(k), "1", known))
+    fields += [
+        Field("All inputs", lambda model: spread.models[model].displacement, "1", "of the displacement"),
+        Field("All inputs", lambda model: spread.models[model].deformation, "1", "of the change of shape"),
+        Field("Its error", error, "1", "against the reference"),
+    ]
+    return frame_table(list(spread.models), fields, name, caption=caption, mark=digest.mark)

@@ -16,9 +16,9 @@ from ..measures.case import CaseResult
 from ..scene.result import REST_DISTANCE
 from ..study.loads import Constraint
 from ..study.schema import Inclusion
+from ..verdict.acceptance import kind_of, name_of
 from ..verdict.digest import Digest
 from ..verdict.formatting import listed, plain, plural, scale_of, short_percent, span
-from ..verdict.loading import kind_of, name_of
 from .blocks import Scene
 from .scene_picture import PART, Outline, Part, Stage, scene_svg, style_of
 

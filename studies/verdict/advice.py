@@ -1,16 +1,236 @@
-"""What to take instead, for each kind of interaction, with the figures of this study."""
+"""Why a model is not within its limits, by what a study has measured, and what to take instead."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
 
+import numpy as np
+
+from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..study.registry import Family, is_surface
-from .acceptance import FRAME_TIME, WITHIN
-from .digest import Digest
-from .why_not import LINEAR_ELEMENTS
+from ..study.registry import FINITE_STRAIN, Family, is_linear, is_surface, split
+from .acceptance import BEYOND, FRAME_TIME, LOST, OPEN, WITHIN, Criterion
+from .digest import Digest, failed_steps
+
+MODEL, LEFT_OUT, SMALL_STRAIN, MESH = "model", "left out", "small strain", "mesh"
+COMPRESSIBILITY = "compressibility"
+REFERENCE, TIME, NO_ANSWER, NOT_TOLD = "reference", "time", "no answer", "not told apart"
+HALF = 0.5  # of what a limit allows: from there on a cause is named
+SMALL = 0.3  # of the largest load: what a step may carry to be called a small one
+POISSON = "tissue.poisson_ratio"
+LINEAR_ELEMENTS = ("fem-linear", "fem-condensed", "fem-p2", "fem-p1")
+
+
+@dataclass(frozen=True)
+class Reason:
+    """One cause: which, the figures that show it (shares, SI) by what they are, what else its sentence needs."""
+
+    cause: str
+    numbers: dict[str, float] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """A model that is not within its limits in every case, seen in the case that decides."""
+
+    digest: Digest
+    model: str
+
+    @cached_property
+    def place(self) -> int:
+        """Number of the case in which the model has an answer and stands worst; any where it has none."""
+        shares = self.digest.shares(self.model)
+        return int(np.argmax(np.where(np.isfinite(shares), shares, -1.0)))
+
+    @property
+    def case(self) -> CaseResult:
+        """That case."""
+        return self.digest.cases[self.place]
+
+    @cached_property
+    def broken(self) -> tuple[Criterion, ...]:
+        """The limits that it surely or perhaps breaks there, of those that a load decides."""
+        at = self.place, self.case.full_load
+        return tuple(
+            c for c in self.digest.criteria if c.of_load and self.digest.states(self.model, c)[at] > WITHIN
+        )
+
+    def _at(self, model: str, one: Criterion, step: int | None) -> float:
+        step = self.case.full_load if step is None else step
+        return float(self.digest.limited(model, one)[0][self.place, step])
+
+    def part(self, model: str | None, step: int | None = None) -> float:
+        """How much of what is broken another model, or another step, takes: the largest share of a limit."""
+        if model is None:
+            return 0.0
+        shares = [self._at(model, c, step) / c.allowed for c in self.broken]
+        return max((share for share in shares if math.isfinite(share)), default=0.0)
+
+    def errors(self, model: str, step: int | None = None) -> dict[str, float]:
+        """Displacement error and error in change of shape; NaN where there is none."""
+        return {c.key: self._at(model, c, step) for c in self.digest.criteria[:2]}
+
+    @cached_property
+    def elements(self) -> str | None:
+        """Elements that solve the linear problem and are held against the reference; the model itself may be."""
+        return next((name for name in LINEAR_ELEMENTS if name in self.digest.compared), None)
+
+    @cached_property
+    def without_inclusions(self) -> str | None:
+        """Elements that leave out the same inclusions as the model does."""
+        leave_out = self.case.study.study.homogeneous
+        if self.model not in leave_out or not self.case.study.inclusions:
+            return None
+        known = [n for n in leave_out if n in self.digest.compared and n != self.model]
+        return next((name for name in known if split(name)[0] in LINEAR_ELEMENTS), None)
+
+    @cached_property
+    def finite_strain(self) -> bool:
+        """Whether the reference follows large displacements."""
+        return split(str(self.case.reference))[0] in FINITE_STRAIN
+
+    @cached_property
+    def small_step(self) -> int | None:
+        """The step of the smallest load, where that is small beside the largest."""
+        sizes = np.abs(self.case.load_factors)
+        steps = np.flatnonzero(sizes > 0.0)
+        step = int(steps[np.argmin(sizes[steps])]) if len(steps) else 0
+        return step if 0.0 < sizes[step] <= SMALL * sizes.max() else None
+
+    @cached_property
+    def load(self) -> dict[str, Any]:
+        """The load of the small step and its unit."""
+        known = self.digest.known_loads
+        found = known.loads[(known.cases == self.place) & (known.steps == (self.small_step or 0))]
+        return {"load": float(found[0]) if len(found) else math.nan, "unit": known.unit}
+
+
+# --- the causes ---
+
+
+def reasons(digest: Digest, model: str) -> tuple[Reason, ...]:
+    """Every cause that this study's figures show; none where the model is within its limits in every case."""
+    if set(digest.standing(model).tolist()) == {WITHIN}:
+        return ()
+    shortfall = Shortfall(digest, model)
+    found = tuple(reason for find in CAUSES for reason in find(shortfall))
+    return found or ((Reason(NOT_TOLD),) if shortfall.broken else ())
+
+
+def no_answer(shortfall: Shortfall) -> Iterator[Reason]:
+    """Cases in which the model stops before full load, with the first reason that it gives."""
+    digest, model = shortfall.digest, shortfall.model
+    lost = [digest.cases[k] for k in np.flatnonzero(digest.standing(model) == LOST).tolist()]
+    results = [case.models[model] for case in lost if model in case.models]
+    statuses = [result.status[step] for result in results for step in failed_steps(result)[:1]]
+    if statuses:
+        first = statuses[0]
+        about = {"cases": len(digest.cases), "message": first.message or first.code, "remedy": first.remedy}
+        yield Reason(NO_ANSWER, {"cases": float(len(lost))}, about)
+
+
+def the_model(shortfall: Shortfall) -> Iterator[Reason]:
+    """What the model is off by at the smallest step; where no load tells, what nothing else takes."""
+    model, step = shortfall.model, shortfall.small_step
+    grows = shortfall.finite_strain or not is_linear(model)
+    if grows and step is not None:
+        if shortfall.part(model, step) >= HALF:
+            yield Reason(MODEL, shortfall.errors(model, step), shortfall.load)
+        return
+    elements = shortfall.elements if grows and is_linear(model) else None
+    if grows and elements is None:
+        return
+    others = (shortfall.digest.coarse_reference, shortfall.without_inclusions, elements)
+    if shortfall.part(model) - max(map(shortfall.part, others)) >= HALF:
+        yield Reason(MODEL, shortfall.errors(model), {"elements": elements} if elements else {})
+
+
+def what_is_left_out(shortfall: Shortfall) -> Iterator[Reason]:
+    """Inclusions that the model does not know: elements without them are as far off."""
+    elements = shortfall.without_inclusions
+    if elements is not None and shortfall.part(elements) >= HALF:
+        names = [entry.name for entry in shortfall.case.study.inclusions or ()]
+        yield Reason(LEFT_OUT, shortfall.errors(elements), {"elements": elements, "inclusions": names})
+
+
+def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
+    """What every linear model is off by at this load: linear elements are as far off, or the error grows."""
+    model, elements, step = shortfall.model, shortfall.elements, shortfall.small_step
+    if not shortfall.finite_strain or not is_linear(model):
+        return
+    if elements is not None:
+        if shortfall.part(elements) - shortfall.part(shortfall.digest.coarse_reference) >= HALF:
+            yield Reason(SMALL_STRAIN, shortfall.errors(elements), {"elements": elements})
+    elif step is not None and shortfall.part(model) - shortfall.part(model, step) >= HALF:
+        first = shortfall.errors(model, step)
+        yield Reason(SMALL_STRAIN, shortfall.errors(model), {"first": first, **shortfall.load})
+
+
+def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
+    """The error grows as a swept Poisson's ratio falls, and only cases at low ratios are not within."""
+    digest = shortfall.digest
+    ratios = np.array([case.swept.get(POISSON, math.nan) for case in digest.cases])
+    found = np.unique(ratios[np.isfinite(ratios)])
+    within = digest.at_full(digest.worst_states(shortfall.model, of_load=True)) == WITHIN
+    good = np.array([within[ratios == one].all() for one in found], dtype=bool)
+    medians = [float(np.median(digest.shares(shortfall.model)[ratios == one])) for one in found]
+    if (
+        good.any()
+        and not good.all()
+        and np.all(np.diff(good.astype(int)) >= 0)
+        and np.all(np.diff(medians) < 0.0)
+    ):
+        yield Reason(COMPRESSIBILITY, about={"ratios": found[~good].tolist()})
+
+
+def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
+    """The reference's own elements on the mesh that the model has."""
+    coarse = shortfall.digest.coarse_reference
+    if coarse is not None and shortfall.part(coarse) >= HALF:
+        yield Reason(MESH, shortfall.errors(coarse), {"elements": coarse})
+
+
+def the_reference(shortfall: Shortfall) -> Iterator[Reason]:
+    """Limits that the reference's own error leaves open, with the largest of these."""
+    digest, model = shortfall.digest, shortfall.model
+    numbers, units = {}, {}
+    for one in (c for c in digest.criteria if c.of_load):
+        left_open = (digest.standing(model) == OPEN) & (digest.at_full(digest.states(model, one)) == OPEN)
+        if left_open.any():
+            numbers[one.name] = float(np.nanmax(digest.bars(one.metric)[left_open]))
+            units[one.name] = one.unit
+    if numbers:
+        yield Reason(REFERENCE, numbers, {"units": units})
+
+
+def the_time(shortfall: Shortfall) -> Iterator[Reason]:
+    """A frame that takes longer than is allowed, in the slowest case."""
+    digest, model = shortfall.digest, shortfall.model
+    for limit in (c for c in digest.criteria if not c.of_load):
+        states = set(digest.at_full(digest.states(model, limit)).tolist())
+        if states & {BEYOND, OPEN}:
+            times = digest.at_full(digest.limited(model, limit)[0])
+            slowest = float(np.nanmax(times, initial=0.0))
+            yield Reason(TIME, {limit.key: slowest}, {"sure": BEYOND in states})
+
+
+# in the order in which they are told
+CAUSES: tuple[Callable[[Shortfall], Iterator[Reason]], ...] = (
+    no_answer,
+    the_model,
+    what_is_left_out,
+    small_strain_ended,
+    compressibility,
+    the_mesh,
+    the_reference,
+    the_time,
+)
+
 
 LINEAR, CONDENSED = LINEAR_ELEMENTS[:2]
 RESTING, MOVING, CUTTING, EXACT = (

@@ -16,9 +16,8 @@ from solver_common.arrays import Array, Index
 from ..body.surface_measures import Surface
 from ..machine import processor_name
 from ..measures import uncertainty
-from ..measures.bars import reference_bar
 from ..measures.case import CaseResult, Run
-from ..measures.frame import frame
+from ..measures.frame import frame, reference_bar
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED, motion_share
@@ -29,14 +28,16 @@ from .acceptance import (
     NOT_ASKED,
     WORDS,
     Criterion,
+    KnownLoads,
     States,
     criteria,
     frame_time,
+    known_loads,
     states_of,
+    supports,
     time_state,
     word_of,
 )
-from .loading import KnownLoads, known_loads, supports
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -10,8 +10,8 @@ import numpy as np
 
 from solver_common.arrays import Array
 
-from ..measures.bars import series
 from ..measures.case import CaseResult
+from ..measures.frame import series
 from ..scene.result import ModelResult
 from ..study.registry import is_linear, split
 from .digest import Digest, failed_steps

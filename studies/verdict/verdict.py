@@ -19,12 +19,23 @@ from ..measures import uncertainty
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.warnings import scene_warnings
 from ..study.registry import FINITE_STRAIN, SURFACE, Family, family_of, split
-from .acceptance import BEYOND, LOST, NOT_ASKED, NOT_JUDGED, OPEN, WITHIN, WORD, Criterion, States, word_of
-from .advice import Advice, by_interaction
+from .acceptance import (
+    BEYOND,
+    LOST,
+    NOT_ASKED,
+    NOT_JUDGED,
+    OPEN,
+    WITHIN,
+    WORD,
+    Criterion,
+    States,
+    UpTo,
+    up_to,
+    word_of,
+)
+from .advice import Advice, Reason, by_interaction, reasons
 from .digest import NORMAL, Digest, Outside, Unreached, failed_steps, median_known
 from .ladders import reading
-from .loading import UpTo, up_to
-from .why_not import Reason, reasons
 
 _WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these that a model has
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")

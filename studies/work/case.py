@@ -16,8 +16,7 @@ from ..body.mesh import Mesh
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface
 from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
-from ..measures.input_spread import InputSpread, Propagation, input_spread
-from ..measures.measurement import Measurement, hold_against, step_rms
+from ..measures.measurement import InputSpread, Measurement, Propagation, hold_against, input_spread, step_rms
 from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
 from ..measures.pushed import Answer
 from ..measures.reference import own_error, require_answer

@@ -20,8 +20,7 @@ from tests.report.runs import make_case, sweep_run
 from vdmbench.cli.arguments import parse
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.report.blocks import Cell, Column, Table
-from vdmbench.report.case_surface import surface_fields, unit_of
-from vdmbench.report.export import table_csv, table_latex
+from vdmbench.report.export import surface_fields, table_csv, table_latex, unit_of
 
 
 def _export(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -17,8 +17,7 @@ from tests.report.runs import make_case, make_run
 from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, planned_work, run, scene_of
 from vdmbench import models
 from vdmbench.body.surface_measures import Surface, weighted_norm
-from vdmbench.measures.input_spread import InputSpread, ModelSpread, Propagation
-from vdmbench.measures.measurement import hold_against
+from vdmbench.measures.measurement import InputSpread, ModelSpread, Propagation, hold_against
 from vdmbench.measures.pushed import Answer
 from vdmbench.study.config import Study, load_study, resolved
 from vdmbench.study.sweep import inputs_of, variations

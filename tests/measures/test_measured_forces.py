@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose
 
 from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, run
 from vdmbench.body.surface_measures import Surface
-from vdmbench.measures.input_spread import Propagation
-from vdmbench.measures.measurement import FORCE, hold_against
+from vdmbench.measures.measurement import FORCE, Propagation, hold_against
 from vdmbench.measures.pushed import Answer
 
 from .test_measured import STUDY, ball, load

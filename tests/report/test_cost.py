@@ -10,7 +10,7 @@ from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
 from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.headline import _table, headline_metrics
-from vdmbench.report.section_cost import time_notes
+from vdmbench.report.section_charts import time_notes
 from vdmbench.scene.result import FrameTimes
 from vdmbench.verdict.digest import ELSEWHERE, ONCE, Digest
 

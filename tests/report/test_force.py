@@ -13,9 +13,9 @@ from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.pushed import Answer
 from vdmbench.report.blocks import Figures, Section
-from vdmbench.report.section_force import force_against_indentation
+from vdmbench.report.section_charts import force_against_indentation
+from vdmbench.verdict.acceptance import pushes
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.loading import pushes
 
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
 

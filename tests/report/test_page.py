@@ -20,7 +20,7 @@ from tests.report.runs import REFERENCE, cheap_run, make_case, make_run, sweep_r
 from vdmbench.report import page as page_module
 from vdmbench.report.blocks import Figures
 from vdmbench.report.page import MOST_BYTES, page_html, write_report
-from vdmbench.report.section_errors import error_against_parameters
+from vdmbench.report.section_charts import error_against_parameters
 from vdmbench.report.section_view import payload, views
 from vdmbench.verdict.digest import Digest
 

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from tests.report.runs import icosphere, make_case, make_run
-from vdmbench.report import picture, raster
+from vdmbench.report import picture
 from vdmbench.report.page import write_picture
 from vdmbench.report.picture import Panel, png
 from vdmbench.report.section_view import heading, still
@@ -71,7 +71,7 @@ def test_a_picture_that_stands_alone_tells_what_it_shows(tmp_path: Path) -> None
 def test_what_is_in_front_hides_what_is_behind() -> None:
     """A ball right behind another, whatever order their facets are listed in."""
     points, triangles = icosphere(2)
-    near = points + 3 * raster.directions(0.3)[2]
+    near = points + 3 * picture.directions(0.3)[2]
     alone = drawn(Panel(near, triangles, near[:, 2], "viridis", 0.3))
     far = 0.9 * points  # inside the outline of the near one
     for order in (1, -1):

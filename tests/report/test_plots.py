@@ -7,7 +7,7 @@ import re
 from tests.report.runs import make_case, make_run
 from vdmbench.report.blocks import Figures
 from vdmbench.report.plots import Plot, percent_axis, tell
-from vdmbench.report.section_errors import error_against_parameters
+from vdmbench.report.section_charts import error_against_parameters
 from vdmbench.verdict.digest import Digest
 
 

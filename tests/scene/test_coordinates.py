@@ -17,7 +17,7 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
 from vdmbench.measures.reference import level_scene
-from vdmbench.report.case_surface import surface_fields
+from vdmbench.report.export import surface_fields
 from vdmbench.scene.regions import measured_on
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import StudyError, load_study

@@ -11,8 +11,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.report.runs import make_case, make_run
-from vdmbench.measures.bars import value_bar
 from vdmbench.measures.case import CaseResult, MetricSeries
+from vdmbench.measures.frame import value_bar
 from vdmbench.measures.uncertainty import INDENTATION_FORCE
 from vdmbench.store import cases as store
 from vdmbench.verdict.digest import Digest

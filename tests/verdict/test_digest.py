@@ -12,9 +12,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import make_case, make_run, sweep_run
-from vdmbench.measures.bars import reference_bar, value_bar
 from vdmbench.measures.case import MetricSeries
-from vdmbench.measures.frame import frame
+from vdmbench.measures.frame import frame, reference_bar, value_bar
 from vdmbench.store.cases import metrics_csv
 from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
 

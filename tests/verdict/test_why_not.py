@@ -14,9 +14,7 @@ from tests.report.runs import make_case, make_run, measured_anew
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
 from vdmbench.study.registry import family_of
-from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.verdict import Verdict, verdicts
-from vdmbench.verdict.why_not import (
+from vdmbench.verdict.advice import (
     COMPRESSIBILITY,
     LEFT_OUT,
     MESH,
@@ -27,6 +25,8 @@ from vdmbench.verdict.why_not import (
     Reason,
     reasons,
 )
+from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.verdict import Verdict, verdicts
 from vdmbench.verdict.words import said
 
 STEPS = (0.05, 0.5, 1.0)

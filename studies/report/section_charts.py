@@ -1,21 +1,39 @@
-"""Errors against every swept parameter and against the load, with the volume drift: medians, and their range."""
+"""Errors against swept parameters and load, force against indentation, run time against error: the charts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from solver_common.arrays import Array
+
+from ..measures.case import CaseResult
 from ..measures.frame import at_full_load
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..verdict.digest import DRIFT, REFERENCE, Digest
-from ..verdict.formatting import listed, parameter_name, scale_of, swept_value
+from ..measures.pushed import Answer
+from ..verdict.acceptance import name_of, pushes
+from ..verdict.digest import DRIFT, ELSEWHERE, ONCE, REFERENCE, Cost, Digest
+from ..verdict.formatting import listed, parameter_name, quantity, scale_of, short_percent, swept_value
 from .blocks import Block, Figure, Figures, Section, Text
-from .plots import Curve, colour, limit_line, lines, log_axis, name_ticks, own_line, percent_axis, place
+from .plots import (
+    Curve,
+    budget_line,
+    colour,
+    draw,
+    limit_line,
+    lines,
+    log_axis,
+    name_ticks,
+    own_line,
+    percent_axis,
+    place,
+    time_ticks,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -200,3 +218,171 @@ def _chart(
         percent_axis(axes, heights)
 
     return lines(digest, curves, axis.label, title, f"{title} against {axis.name}", salt, finish=finish)
+
+
+_CONTACT_NOTE = (
+    "The force of a contact is given; the indentation is the answer. It is the largest displacement of a node in "
+    "contact, inwards along the normal of the body at rest. It is negative where the nodes are pulled out."
+)
+_MOVED_NOTE = (
+    "A region is moved by a given amount; the force is the answer. It is the sum of the reactions of its nodes, "
+    "along the movement. A model that is too stiff lies above the reference."
+)
+_INDENTER_NOTE = (
+    "A rigid indenter is pushed in by a given depth; its force along the push is the answer. A "
+    "model that is too stiff lies above the reference."
+)
+_WEIGHT_NOTE = "The body's weight acts without load too: no curve starts at the origin."
+
+# kind of a constraint -> what its depth and its force are called
+_KINDS = {
+    "contact": ("indentation", "contact force", _CONTACT_NOTE),
+    "indenter": ("depth", "indenter force", _INDENTER_NOTE),
+    "constrained": ("prescribed displacement", "reaction force", _MOVED_NOTE),
+}
+
+
+@dataclass(frozen=True)
+class Push:
+    """One place where a case is pushed: model -> (S,) lengths [m] and (S,) loads [unit]."""
+
+    name: str
+    length: str  # what it is called
+    load: str
+    unit: str
+    note: str
+    curves: Mapping[str, tuple[Array, Array]]
+
+
+def force_against_indentation(digest: Digest) -> Section | None:
+    """How stiff the body feels where the case that the page looks at first is pushed, if it has a load history."""
+    role, case = digest.key_cases[0] if digest.cases else ("", None)
+    if case is None or len(case.load_factors) == 1 or not (found := list(_pushes(digest, case))):
+        return None
+    title = f"{digest.case_name(case)}{f' ({role})' if role else ''}"
+    figures = [
+        _drawing(digest, case, push, ", ".join(filter(None, [push.name, title])), f"f{k}")
+        for k, push in enumerate(found)
+    ]
+    notes = dict.fromkeys(push.note for push in found)
+    if case.study.gravity is not None and any(case.study.gravity.acceleration):
+        notes[_WEIGHT_NOTE] = None
+    blocks: list[Block] = [Text(" ".join(notes), kind="note"), Figures(figures, digest.legend)]
+    return Section("force", "Force against indentation", blocks)
+
+
+def _pushes(digest: Digest, case: CaseResult) -> Iterator[Push]:
+    """Where a case is pushed, with the models whose curve is known."""
+    for pushed in pushes(case, digest.surfaces[case.hash]):
+        curves = {model: pushed.curve(Answer.of(result)) for model, result in case.models.items()}
+        known = {m: curve for m, curve in curves.items() if np.isfinite(curve).all(axis=0).any()}
+        length, load, note = _KINDS[pushed.constraint.kind]
+        load = "contact pressure" if pushed.unit == "Pa" else load
+        if known:
+            yield Push(name_of(pushed.constraint), length, load, pushed.unit, note, known)
+
+
+def _drawing(digest: Digest, case: CaseResult, push: Push, place: str, salt: str) -> Figure:
+    models = [model for model in digest.models if model in push.curves]
+    (length, length_unit), (force, force_unit) = (
+        scale_of(unit, np.concatenate([push.curves[model][k] for model in models]))
+        for k, unit in enumerate(("m", push.unit))
+    )
+    curves = []
+    for model in models:
+        x, y = np.array(push.curves[model])[:, np.isfinite(push.curves[model]).all(axis=0)]
+        curves.append(Curve(model, x / length, y / force, [digest.place[case.hash]] * len(x)))
+
+    def finish(axes: Axes) -> None:
+        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+
+    def told(curve: Curve) -> str:
+        x, y = np.asarray(curve.x) * length, np.asarray(curve.y) * force
+        last = int(np.argmax(np.abs(x)))
+        return f"{quantity(float(y[last]), push.unit)} at {quantity(float(x[last]), 'm')}"
+
+    x_label, y_label = f"{push.length} [{length_unit}]", f"{push.load} [{force_unit}]"
+    title = f"{push.load.capitalize()} against {push.length}, {place}"
+    return replace(
+        lines(digest, curves, x_label, y_label, title, salt, finish=finish, told=told), title=place
+    )
+
+
+BUDGETS = {
+    "haptic device, 1 ms": 1e-3,
+    "screen, 16.7 ms": 1.0 / 60.0,
+}  # what may ask for a frame, and its time [s]
+
+
+def run_time_against_error(digest: Digest) -> Section | None:
+    """Time per frame, and set-up as a hollow marker, against the median error; whiskers reach best and worst."""
+    compared = [name for name in digest.compared if digest.costs[name].frame > 0]
+    measures = ((VECTOR, "Displacement error"), (DEFORMATION, "Error in change of shape"))
+    spreads = [digest.spread(name, metric) for name in compared for metric, _ in measures]
+    heights = [height for one in spreads if one for height in (one.best, one.median, one.worst)]
+    figures = [
+        figure
+        for k, (metric, title) in enumerate(measures)
+        if (figure := _pareto(digest, compared, metric, title, heights, f"c{k}"))
+    ]
+    if not figures:
+        return None
+    note = (
+        "Further left is faster; lower is closer. A filled mark is a frame of the contact, factors kept, measured "
+        "when the run ended, all models in turns, as vdmbench bench does. The hollow mark at the end of its dotted "
+        "line is the set-up, which is paid once. Dashed up the chart is the reference's frame."
+    )
+    if len(digest.cases) > 1:
+        note += " Marks are medians over the cases. Whiskers reach from the best case to the worst."
+    blocks: list[Block] = [Text(note, kind="note"), Figures(figures, digest.legend)]
+    return Section("cost", "Run time against error", blocks)
+
+
+def time_notes(costs: Iterable[Cost]) -> list[str]:
+    """What stands beside times that are not simply those of a solve in this run."""
+    found = list(costs)
+    notes = {
+        ELSEWHERE: "compare with times of that machine only",
+        ONCE: "not measured in turns with the others; a busy machine, or factors not kept, make it longer",
+    }
+    told = [f"{mark}, {note}" for mark, note in notes.items() if any(mark in cost.marks for cost in found)]
+    return [f"Beside a time: {'; '.join(told)}."] if told else []
+
+
+def _pareto(
+    digest: Digest, compared: Sequence[str], metric: str, title: str, heights: Sequence[float], salt: str
+) -> Figure | None:
+    points = {name: spread for name in compared if (spread := digest.spread(name, metric))}
+    if not points:
+        return None
+    costs, reference = digest.costs, digest.costs.get(str(digest.reference))
+    own, allowed = next(iter(points.values())).median_bar, digest.allowed(metric)
+    look = {"markersize": 6.5, "linestyle": "none"}
+    curves = [
+        Curve(name, [costs[name].frame], [one.median], look=look, band=([one.best], [one.worst]))
+        for name, one in points.items()
+    ]
+
+    def finish(axes: Axes) -> None:
+        for name, spread in points.items():
+            k, frame, setup = digest.colour(name), costs[name].frame, costs[name].set_up
+            if setup > 0 and math.isfinite(setup):
+                axes.plot([frame, setup], [spread.median] * 2, ":", color=colour(k), linewidth=1.0)
+                hollow: dict[str, Any] = {"markerfacecolor": "none", "linestyle": "-"}
+                draw(axes, k, f"{name}, set-up", [setup], [spread.median], named=False, **hollow)
+        if reference is not None and reference.frame > 0:
+            axes.axvline(reference.frame, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
+        own_line(axes, own)
+        limit_line(axes, allowed)
+        for name, seconds in BUDGETS.items():
+            budget_line(axes, seconds, name)
+        time_ticks(axes)
+        percent_axis(axes, [*heights, allowed, *([own] if own > 0.0 else [])])
+
+    def words(curve: Curve) -> str:
+        frame = quantity(costs[curve.model].frame, "s")
+        return f"{frame} per frame at {short_percent(points[curve.model].median)}"
+
+    heading = f"Run time against {title.lower()}"
+    return lines(digest, curves, "time", title, heading, salt, finish=finish, told=words)

@@ -1,4 +1,4 @@
-"""What is known beside an answer: how far off its inputs may put it, and how far it is from a measurement."""
+"""Metrics of an answer itself: how rigid, how much in the surface, how far off by inputs and from a measurement."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from solver_common.arrays import Array
 
-from ..body.surface_measures import Surface, ratio
-from .metrics import History, full_load_step, metric
+from ..body.surface_measures import Surface, ratio, rigid_parts, weighted_norms
+from .metrics import History, along, full_load_step, metric
 
 _of_inputs = partial(metric, "1", degree=None, needs_reference=False, needs_inputs=True, sense="descriptive")
 _of_measurement = partial(metric, degree=None, needs_reference=False, needs_measurement=True)
@@ -47,3 +47,35 @@ def measurement_error_relative(surface: Surface, model: History) -> Array:  # no
     assert model.measurement is not None
     errors, sizes = model.measurement
     return np.asarray(ratio(errors, sizes))
+
+
+@metric(
+    "1",
+    "area-weighted ||w|| / ||u|| of the best-fit rigid motion w, of a finite rotation, of the answer itself",
+    degree=None,
+    relative=True,
+    version=2,
+    needs_reference=False,
+    sense="descriptive",
+)
+def rigid_share(surface: Surface, model: History) -> Array:
+    u = model.displacement
+    out = np.full(len(u), np.nan)
+    solved = np.isfinite(u).all(axis=(1, 2))
+    rigid = rigid_parts(surface.points, u[solved], surface.areas)
+    out[solved] = ratio(weighted_norms(rigid, surface.areas), weighted_norms(u[solved], surface.areas))
+    return out
+
+
+@metric(
+    "1",
+    "area-weighted ||t|| / ||u|| of the component t of the answer itself in the undeformed surface: of the exact "
+    "answer, the least displacement error of a model that moves nodes along normals",
+    degree=0,
+    needs_reference=False,
+    sense="descriptive",
+)
+def tangential_share(surface: Surface, model: History) -> Array:
+    u = model.displacement
+    inside = u - along(u, surface.normals) * surface.normals
+    return np.asarray(ratio(weighted_norms(inside, surface.areas), weighted_norms(u, surface.areas)))

@@ -1,0 +1,386 @@
+"""Tables: small-strain limits, every measure, every case, what failed, and where the numbers come from."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+from ..measures.case import CaseResult, Limit, ModelLimits
+from ..measures.frame import reference_bar, where_reached
+from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
+from ..measures.metrics import DEFORMATION, VECTOR
+from ..study.registry import PARAMETERS, Family
+from ..verdict.digest import DRIFT, Digest, failed_steps
+from ..verdict.formatting import (
+    NOTHING,
+    first_of,
+    listed,
+    parameter_name,
+    percent,
+    plain,
+    plural,
+    quantity,
+    short_percent,
+    swept_value,
+)
+from ..verdict.verdict import Verdict, verdicts
+from ..verdict.words import TITLES
+from .blocks import Block, Cell, Code, Facts, Field, Section, Text, bar_detail, frame_table, spread_cell
+
+_WHY = {
+    "unresolved": "unresolved: a finer mesh does not bear it out",
+    "beyond": "not reached",
+    "model-stopped": "the model has no solution beyond",
+    "reference-stopped": "the reference has no solution beyond",
+}
+_READING = (
+    "Raised: {raised}. The structural error is the displacement error at a small load. A limit is the load at "
+    "which the error has grown from there by the threshold. For fem-linear it is the linearisation limit: "
+    "there small-strain theory departs from finite strain on the same mesh. Indentation is the mean "
+    "displacement along the contact force, weighted by it. The strain is the reference's principal "
+    "Green-Lagrange strain that 95 % of the volume stays below; the paper speaks of less than 10 %. Below it "
+    "stands the largest of any point: local, at the rim of the contact or of the support, it grows with each "
+    "finer mesh. Figures with a bar are of a mesh with every tetrahedron split into eight. A bar is what that "
+    "changes, and the {close} of the threshold that the search leaves open: for a load relative, for the "
+    "others in their unit and with the load's bar counted in. A limit is unresolved where the finer mesh has "
+    "none; its figures are then of the case's mesh. A search ends at {largest:g} times the study's load, and "
+    "at a largest strain of {strain}."
+)
+
+
+class _Row(NamedTuple):
+    """One model's limit at one threshold in one case."""
+
+    case: CaseResult
+    model: str
+    entry: ModelLimits
+    limit: Limit
+
+
+def small_strain_limits(digest: Digest) -> Section | None:
+    """Structural error and growth limits per model and case."""
+    searched = [(case, case.small_strain) for case in digest.cases if case.small_strain is not None]
+    rows = [
+        _Row(case, model, entry, limit)
+        for case, found in searched
+        for model, entry in found.models.items()
+        for limit in entry.limits
+    ]
+    if not rows:
+        return None
+    raised = {"every load, in proportion" if one.unit == "1" else one.along for _, one in searched}
+    metres, unit = partial(quantity, unit="m"), searched[0][1].unit
+    fields = [
+        *([Field("Case", lambda row: digest.case_name(row.case))] if len(digest.cases) > 1 else []),
+        Field("Model", lambda row: row.model),
+        Field(
+            "Structural error",
+            lambda row: row.entry.structural_error,
+            "1",
+            bar=lambda row: row.entry.structural_bar,
+        ),
+        Field(
+            "Growth",
+            lambda row: Cell(f"+ {short_percent(row.limit.threshold)}", value=row.limit.threshold),
+            "1",
+        ),
+        Field("Load" if unit != "1" else "Times the study's loads", lambda row: _load(row.limit, unit), unit),
+        Field(
+            "Indentation",
+            lambda row: _found(row.limit, row.limit.indentation, row.limit.indentation_bar, metres),
+            "m",
+        ),
+        Field("Strain", lambda row: _found(row.limit, row.limit.strain, row.limit.strain_bar, percent), "1"),
+        Field("Largest strain", lambda row: row.limit.largest_strain, "1", "of any point"),
+    ]
+    table = frame_table(rows, fields, "limits", mark=lambda row: digest.mark(row.model))
+    about = {"close": short_percent(CLOSE), "largest": LARGEST, "strain": short_percent(MOST_STRAIN)}
+    note = Text(_READING.format(raised=listed(sorted(raised)), **about), kind="note")
+    return Section("limits", "Small-strain limits", [table, note])
+
+
+def _load(limit: Limit, unit: str) -> Cell:
+    if math.isnan(limit.load):
+        return Cell(NOTHING, _WHY[limit.state], tone="muted")
+    text = quantity(limit.load, unit)
+    if limit.state == "found":
+        return Cell(text, bar_detail(1.0, limit.bar), limit.load)
+    prefix = {"beyond": "≥ ", "unresolved": ""}.get(limit.state, "to ")
+    return Cell(f"{prefix}{text}", _WHY[limit.state], limit.load, tone="muted")
+
+
+def _found(limit: Limit, value: float, bar: float, shown: Callable[[float], str]) -> Cell:
+    """An indentation or a strain with its bar; that of a limit not found has none."""
+    if limit.state != "found" or not math.isfinite(value):
+        return Cell(shown(value), value=value)
+    return Cell(shown(value), bar_detail(value, bar * abs(value), shown), value)
+
+
+class _Measure(NamedTuple):
+    name: str
+    unit: str
+    definition: str
+
+
+def all_measures(digest: Digest) -> Section | None:
+    """Every metric of every compared model at full load, defined, and what the reference has of its own."""
+    found = {
+        name: _Measure(name, entry.unit, entry.definition)
+        for case in digest.cases
+        for model in digest.compared
+        for name, entry in case.metrics.get(model, {}).items()
+    }
+    rows = [
+        row
+        for row in found.values()
+        if row.name != DRIFT and any(digest.spread(m, row.name) for m in digest.models)
+    ]
+    if not rows:
+        return None
+
+    def of(model: str) -> Any:
+        return lambda row: spread_cell(digest.spread(model, row.name), row.unit)
+
+    fields = [
+        Field("Measure", lambda row: Cell(measure_name(row.name), row.definition)),
+        *(Field(model, of(model), "#", "median") for model in digest.compared),
+        Field(str(digest.reference), of(str(digest.reference)), "#", "reference"),
+    ]
+    note = "± is the error of the reference itself, where it was measured. The last column is the reference alone."
+    table = frame_table(rows, fields, "measures")
+    return Section("measures", "All measures at full load", [Text(note, kind="note"), table])
+
+
+def measure_name(metric: str) -> str:
+    """A metric's name as words."""
+    words = metric.replace("relative_l2_", "").replace("p95_", "95 % ").replace("_", " ")
+    return words[:1].upper() + words[1:]
+
+
+_OPEN_ROWS = 12
+_MOST_CELLS = 9000  # of the page; the rest is in metrics.csv
+_ERRORS = ((VECTOR, "displacement"), (DEFORMATION, "deformation"))
+
+
+def case_table(digest: Digest) -> Section | None:
+    """One row per finished case, the worst of the focus model first."""
+    if not digest.cases:
+        return None
+    roles = {case.hash: role for role, case in digest.key_cases if role}
+    fields = [
+        Field(
+            "Case",
+            lambda case: Cell(
+                case.hash[:8] if digest.swept_keys else digest.case_name(case), roles.get(case.hash, "")
+            ),
+        ),
+        *(_swept(digest, key) for key in digest.swept_keys),
+        Field("Nodes", lambda case: Cell(str(len(case.points)), value=float(len(case.points))), "#"),
+        *(
+            Field(model, _error(digest, model, metric), "1", what)
+            for model in digest.compared
+            for metric, what in _ERRORS
+        ),
+    ]
+    fields += [_word(one) for one in verdicts(digest).asked if one.model]
+    if digest.compared:
+        fields += [Field("Reference's own", _own_error(metric), "1", what) for metric, what in _ERRORS]
+    sizes = digest.full_loads(digest.focus or "", VECTOR)
+    order = sorted(range(len(sizes)), key=lambda k: -abs(sizes[k]) if math.isfinite(sizes[k]) else -math.inf)
+    ranked = [digest.cases[k] for k in order]
+    rows = ranked[: max(_OPEN_ROWS, _MOST_CELLS // len(fields))]
+    note = "Errors at full load."
+    if digest.unreached:
+        note += " Where the reference ends before, at the load factor that stands beside them."
+    if len(digest.cases) > 1 and digest.focus and digest.compared:
+        note += f" The largest displacement error of {digest.focus} comes first."
+    if len(rows) < len(ranked):
+        note += f" Only the first {len(rows)} of {len(ranked)} are listed, to keep the page small."
+    table = frame_table(rows, fields, "cases", open_rows=_OPEN_ROWS)
+    return Section("cases", "Cases", [Text(note, kind="note"), table])
+
+
+def _swept(digest: Digest, key: str) -> Field:
+    """The column of a swept key."""
+    unit = digest.unit(key)
+    texts = any(isinstance(case.swept.get(key), str) for case in digest.cases)
+
+    def value(case: CaseResult) -> Cell | str | None:
+        found = case.swept.get(key)
+        if found is None or isinstance(found, str):
+            return found
+        return Cell(swept_value(found, unit), value=float(found))
+
+    return Field(parameter_name(key), value, "" if texts else "#" if unit == "1" else unit)
+
+
+def _word(one: Verdict) -> Field:
+    """The column of a family's words."""
+    return Field(
+        TITLES[Family(one.family)], lambda case: one.states[case.hash], detail=f"{one.model}, within limits?"
+    )
+
+
+def _own_error(metric: str) -> Callable[[CaseResult], Cell]:
+    def of(case: CaseResult) -> Cell:
+        bar = reference_bar(case, metric)
+        return Cell(f"± {percent(bar)}" if math.isfinite(bar) else "not measured", value=bar, tone="muted")
+
+    return of
+
+
+def _error(digest: Digest, model: str, metric: str) -> Callable[[CaseResult], Cell | None]:
+    def of(case: CaseResult) -> Cell | None:
+        value, result = digest.at(case, model, metric), case.models.get(model)
+        if math.isfinite(value):
+            return Cell(percent(value), value=value)
+        if case.reached != case.full_load and math.isfinite(value := where_reached(case, model, metric)):
+            factor = float(case.load_factors[case.reached])
+            return Cell(f"{percent(value)} at {factor:.3g}", value=value)
+        return Cell("failed", tone="bad") if result is not None and failed_steps(result) else None
+
+    return of
+
+
+# --- what failed ---
+
+
+class Stopped(NamedTuple):
+    """What a model, or a case, says: of which step first and how often, and what to do."""
+
+    model: str
+    where: str
+    message: str
+    remedy: str
+
+
+def failures(digest: Digest) -> Section | None:
+    """Cases without a result and models that stopped short, each with reason and remedy."""
+    blocks: list[Block] = []
+    failed = [
+        Stopped(one["label"] or one["hash"][:8], one["code"], one["message"], one["remedy"])
+        for one in digest.run.failed
+    ]
+    for name, caption, first, rows in (
+        ("failed", "Cases that failed", "Case", failed),
+        ("stopped", "Models that stopped in a finished case", "Model and case", stopped_models(digest)),
+    ):
+        fields = [
+            Field(first, lambda row: Cell(row.model, row.where)),
+            Field("What happened", lambda row: row.message),
+            Field("What to do", lambda row: row.remedy),
+        ]
+        if rows:
+            blocks.append(frame_table(rows, fields, name, caption=caption))
+    if digest.run.missing:
+        names = [label or "a case" for label in digest.run.missing]
+        text = f"{plural(len(names), 'case')} not run yet: {first_of(names, 7)}."
+        blocks.append(Text(f"{text} Run the study again to do what is missing."))
+    return Section("failures", "What failed or is missing", blocks) if blocks else None
+
+
+def stopped_models(digest: Digest) -> list[Stopped]:
+    """Of each model the first step that failed: once for each reason."""
+    found: dict[tuple[str, str, str], list[str]] = {}
+    for case in digest.cases:
+        for model, result in case.models.items():
+            for step in failed_steps(result)[:1]:
+                status, factor = result.status[step], float(case.load_factors[step])
+                reason = (model, status.message or status.code, status.remedy)
+                found.setdefault(reason, []).append(f"{digest.case_name(case)}, load factor {factor:g}")
+    return [
+        Stopped(
+            model,
+            places[0] + (f", and in {plural(len(places) - 1, 'other case')}" if len(places) > 1 else ""),
+            message,
+            remedy,
+        )
+        for (model, message, remedy), places in found.items()
+    ]
+
+
+_UNITS = {
+    **{name: unit for name, (_, unit) in PARAMETERS.items()},
+    "area": "m²",
+    "volume": "m³",
+    "seconds": "s",
+    "surface_distance_max": "m",
+    "surface_distance_mean": "m",
+    "youngs_modulus": "Pa",
+    "density": "kg/m³",
+    "coarse_density": "kg/m³",
+    "solver_estimated_bytes": "B",
+    "matrix_bytes": "B",
+    "seconds_precompute": "s",
+}
+_SHORT = 16  # hex digits of a hash that are shown
+
+
+def how_to_reproduce(digest: Digest) -> Section:
+    """The commands, and the study as it was written."""
+    plan, name = digest.run.plan, digest.run.study.study.name
+    words = plan.get("command") or ["run", name]
+    commands = [words, ["report", str(plan.get("directory", f"results/runs/{name}"))]]
+    blocks: list[Block] = [
+        Text(
+            "The first command runs the study, or what is still missing of it. The second makes this page again "
+            "from the stored results."
+        ),
+        Code("\n".join(shlex.join(["vdmbench", *words]) for words in commands)),
+        Text(
+            "Every number on this page comes from the case files in the run directory, cases/<hash>.vtkhdf. "
+            "ParaView opens them too. study.h5 and metrics.csv hold all metrics of all cases.",
+            kind="note",
+        ),
+    ]
+    if digest.run.study_text.strip():
+        instead = ", whose geometry --surface replaced" if "--surface" in words else ""
+        blocks.append(Code(digest.run.study_text.rstrip(), summary=f"The study file{instead}"))
+    return Section("reproduce", "How to reproduce", blocks)
+
+
+def provenance(digest: Digest) -> Section | None:
+    """Packages, machine, meshes and the models' parameters, each over all cases."""
+    cases = digest.cases
+    if not cases:
+        return None
+    # the names of files alone: their directories are the user's own affair
+    files = [path.name for case in cases if (path := case.study.geometry.path) is not None]
+    rows = [("geometry file", first_of(list(dict.fromkeys(files)), 3))] if files else []
+    rows.append(("surface nodes", _over([len(case.points) for case in cases], "surface_nodes")))
+    rows += [
+        (f"mesh: {key}", told)
+        for key, told in _each(case.mesh_quality for case in cases)
+        if key != "surface nodes"
+    ]
+    rows += _each(case.provenance for case in cases)
+    blocks: list[Block] = [Facts(rows)]
+    for model in digest.models:
+        results = [case.models[model] for case in cases if model in case.models]
+        if results:
+            facts = [("version", _over([result.version for result in results], "version"))]
+            facts += _each(result.parameters for result in results)
+            blocks.append(Facts(facts, summary=f"Parameters of {model}"))
+    return Section("provenance", "Provenance", blocks)
+
+
+def _each(tables: Iterable[Mapping[str, float | str]]) -> list[tuple[str, str]]:
+    """(key in words, its values) of every key of some tables."""
+    found: dict[str, list[float | str]] = {}
+    for table in tables:
+        for key, value in table.items():
+            found.setdefault(key, []).append(value)
+    return [(k.removeprefix("package.").replace("_", " "), _over(values, k)) for k, values in found.items()]
+
+
+def _over(values: list[float | str], key: str) -> str:
+    """Numbers as a range with their unit, dates as one too, of other texts the first."""
+    numbers = [float(value) for value in values if not isinstance(value, str)]
+    if len(numbers) == len(values):
+        ends = dict.fromkeys(plain(end, 6 if end.is_integer() else 3) for end in (min(numbers), max(numbers)))
+        return f"{' to '.join(ends)} {_UNITS.get(key, '1').strip('1')}".strip()
+    texts = list(dict.fromkeys(str(value)[: _SHORT if key.endswith("hash") else None] for value in values))
+    return " to ".join(dict.fromkeys((min(texts), max(texts)))) if key == "date" else first_of(texts, 3)
