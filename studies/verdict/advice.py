@@ -118,7 +118,8 @@ def reasons(digest: Digest, model: str) -> tuple[Reason, ...]:
     if set(digest.standing(model).tolist()) == {WITHIN}:
         return ()
     shortfall = Shortfall(digest, model)
-    found = tuple(reason for find in CAUSES for reason in find(shortfall))
+    answers = np.isfinite(digest.shares(model)).any()
+    found = tuple(reason for find in (CAUSES if answers else (no_answer,)) for reason in find(shortfall))
     return found or ((Reason(NOT_TOLD),) if shortfall.broken else ())
 
 

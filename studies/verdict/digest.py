@@ -416,11 +416,12 @@ class Digest:
 
     @cached_property
     def focus(self) -> str | None:
-        """The model that the page looks at closely: the one that decides in the first family of the study."""
+        """The model that the page looks at closely: what decides in the first family that has an answer."""
         digest = self.in_range if self.in_range.compared else self
-        first = next((family for family, models in digest.families.items() if models), None)
-        if first is not None:
-            return digest.deciding(first)
+        deciding = [digest.deciding(family) for family, models in digest.families.items() if models]
+        answering = (name for name in deciding if np.isfinite(digest.shares(name)).any())
+        if deciding:
+            return next(answering, deciding[0])
         others = [name for name in self.models if name != self.reference]
         return next(iter([*others, *self.models]), None)
 

@@ -19,6 +19,7 @@ from vdmbench.verdict.advice import (
     LEFT_OUT,
     MESH,
     MODEL,
+    NO_ANSWER,
     REFERENCE,
     SMALL_STRAIN,
     TIME,
@@ -105,6 +106,16 @@ def test_the_model_is_told_by_its_smallest_load() -> None:
     }
     late = growing({"vdm-vector:nonlinear": (0.02, 0.1, 0.2)})
     assert MODEL not in causes(make_run([late]), "vdm-vector:nonlinear")
+
+
+def test_a_model_without_an_answer_has_no_cause_of_an_error_and_is_not_looked_at_closely() -> None:
+    errors = {"vdm-vector": 0.5, "fem-linear": 0.4}
+    far = make_case(errors, reference="fem", stopped={"vdm-vector": 0})
+    assert causes(make_run([far])).keys() == {NO_ANSWER}
+    assert Digest(make_run([far])).focus == "fem-linear"
+    assert Digest(make_run([make_case(errors, reference="fem")])).focus == "vdm-vector"
+    none = make_case(errors, reference="fem", stopped=dict.fromkeys(errors, 0))
+    assert Digest(make_run([none])).focus == "vdm-vector"
 
 
 @pytest.mark.parametrize(
