@@ -11,16 +11,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 from tests.in_process import HerePool
 from vdmbench.cli.main import main
-from vdmbench.models.frames import frame_times
-from vdmbench.scene.result import FrameTimes
-from vdmbench.scene.scene import Scene
 
 SCRIPT = Path(sys.executable).parent / "vdmbench"
 
@@ -107,8 +104,9 @@ def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subproces
         mock.patch.dict(os.environ, environment),
         mock.patch("vdmbench.work.run._pool", _here),
         mock.patch("gc.freeze"),  # this process goes on
-        mock.patch("vdmbench.models.frames.gc"),
-        mock.patch("vdmbench.models.frames.frame_times", _timed_once),
+        # two thirds of a small run: `test_times` and the tests of the report show them
+        mock.patch("vdmbench.work.run._time_frames"),
+        mock.patch("vdmbench.report.plots.svg_of", return_value="<svg></svg>"),
     ):
         try:
             main(words)
@@ -130,11 +128,6 @@ def own_signals() -> Iterator[None]:
         sys.unraisablehook = hook
         for number, answer in before.items():
             signal.signal(number, answer)
-
-
-def _timed_once(scene: Scene, names: Sequence[str], rounds: int, budget: float) -> dict[str, FrameTimes]:
-    """See `frame_times`."""
-    return frame_times(scene, names, min(rounds, 1), budget)
 
 
 @contextlib.contextmanager

@@ -197,7 +197,7 @@ def test_the_command_writes_a_table_to_paste(tmp_path: Path) -> None:
 
 
 def test_a_fit_to_another_surface_is_tried_on_the_study_as_it_is(tmp_path: Path) -> None:
-    text = STUDY.replace('"fem-linear"', '"bem"')
+    text = STUDY.replace('"fem-linear"', '"vdm-consistent"')
     (tmp_path / "fit.toml").write_text(text)
     (tmp_path / "mine.toml").write_text(text.replace('"fit"', '"mine"').replace('"vdm-paper", ', ""))
     points, triangles = icosphere(2)
@@ -225,7 +225,7 @@ def test_a_history_that_does_not_end_at_factor_one_gives_the_same_fit(tmp_path: 
     fits = []
     for history in ("[1.0]", "[0.5]", "[2.0, 0.25]"):
         name = f"history-{len(fits)}"
-        text = STUDY.replace('"fem-linear"', '"bem"').replace('"fit"', f'"{name}"')
+        text = STUDY.replace('"fem-linear"', '"vdm-consistent"').replace('"fit"', f'"{name}"')
         (tmp_path / name).mkdir()
         run, plan = finished(f"{text}[load]\nfactors = {history}\n", tmp_path / name)
         fits.append(fit("vdm-vector", *samples_of(plan, run)))

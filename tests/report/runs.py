@@ -11,6 +11,7 @@ import numpy as np
 
 from solver_common.solution import Status
 from tests.example_case import typed_study
+from tests.vdm.vdm_shapes import icosphere
 from vdmbench.body.surface_measures import Surface
 from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
@@ -22,42 +23,6 @@ AMPLITUDE = 0.002  # m, radial displacement at the poles at full load
 REFERENCE = "fem-linear"
 CONVERGED = Status("converged")
 STOPPED = Status("diverged", "the volume could not be held", "take smaller load steps")
-
-
-def icosphere(subdivisions: int) -> tuple[np.ndarray, np.ndarray]:
-    """Unit ball: (N, 3) points and (F, 3) outward triangles."""
-    g = (1 + 5**0.5) / 2
-    points = [[-1, g, 0], [1, g, 0], [-1, -g, 0], [1, -g, 0], [0, -1, g], [0, 1, g]]
-    points += [[0, -1, -g], [0, 1, -g], [g, 0, -1], [g, 0, 1], [-g, 0, -1], [-g, 0, 1]]
-    triangles = [
-        [0, 11, 5],
-        [0, 5, 1],
-        [0, 1, 7],
-        [0, 7, 10],
-        [0, 10, 11],
-        [1, 5, 9],
-        [5, 11, 4],
-        [11, 10, 2],
-    ]
-    triangles += [[10, 7, 6], [7, 1, 8], [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5]]
-    triangles += [[2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1]]
-    for _ in range(subdivisions):
-        middle: dict[tuple[int, int], int] = {}
-
-        def halve(a: int, b: int, middle: dict[tuple[int, int], int] = middle) -> int:
-            key = (min(a, b), max(a, b))
-            if key not in middle:
-                middle[key] = len(points)
-                points.append([(p + q) / 2 for p, q in zip(points[a], points[b], strict=True)])
-            return middle[key]
-
-        split = []
-        for a, b, c in triangles:
-            ab, bc, ca = halve(a, b), halve(b, c), halve(c, a)
-            split += [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
-        triangles = split
-    x = np.array(points, dtype=float)
-    return x / np.linalg.norm(x, axis=1, keepdims=True), np.array(triangles)
 
 
 def p2_mode(directions: np.ndarray) -> np.ndarray:

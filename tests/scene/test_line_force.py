@@ -24,7 +24,7 @@ from vdmbench.work.keys import wanted
 PULL = np.array([1e-3, 2e-3, -5e-3])  # N: moves the tip by 0.01 of its width
 BASE: dict[str, Any] = {
     "study": {"name": "test", "models": ["bem", "fem-linear"], "reference": "fem-linear"},
-    "geometry": {"shape": "box", "size": [0.06, 0.03, 0.03], "mesh_size": 0.012},
+    "geometry": {"shape": "box", "size": [0.06, 0.03, 0.03], "mesh_size": 0.015},
     "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.49},
     "regions": {
         "clamp": {"below": {"axis": "x", "fraction": 0.001}},

@@ -59,15 +59,17 @@ FINITE = {
 
 
 @pytest.mark.parametrize("changes", [ZIPPED, WEIGHT, PENALTY, MOVED, FINITE])
-def test_what_is_planned_is_what_is_done(tmp_path: Path, made: Counter[str], changes: dict[str, Any]) -> None:
-    plan = plan_of(tmp_path, tmp_path / "cache", **changes)
+def test_what_is_planned_is_what_is_done(
+    tmp_path: Path, cache: Path, made: Counter[str], changes: dict[str, Any]
+) -> None:
+    plan = plan_of(tmp_path, cache, **changes)
     of_fem, of_vdm = planned_work(plan, *LINEAR), planned_work(plan, "vdm-vector")
     run(plan)
     assert made["fem set-ups"] == of_fem["set-ups"]
     assert made["fem solves"] <= of_fem["solves"], "sums of others are not solved"
     assert (made["vdm set-ups"], made["vdm solves"]) == (of_vdm["set-ups"], of_vdm["solves"])
     made.clear()
-    run(plan_of(tmp_path, tmp_path / "cache", **changes))
+    run(plan_of(tmp_path, cache, **changes))
     assert not made, "what is done is not done again"
 
 
@@ -79,8 +81,10 @@ def test_two_places_and_two_forces_are_two_loads_on_one_body(
 
 
 @pytest.mark.parametrize("changes", [ZIPPED, ALONE | MOVED, LEVELS])
-def test_shared_numbers_are_those_of_each_case_alone(tmp_path: Path, changes: dict[str, Any]) -> None:
-    plan = plan_of(tmp_path / "together", tmp_path / "cache", **changes)
+def test_shared_numbers_are_those_of_each_case_alone(
+    tmp_path: Path, cache: Path, changes: dict[str, Any]
+) -> None:
+    plan = plan_of(tmp_path / "together", cache, **changes)
     for case, planned in zip(run(plan), plan.cases, strict=True):
         alone = run_alone(planned, plan, tmp_path / "alone")
         # iterations end at their own residual
@@ -131,10 +135,10 @@ def test_another_study_uses_the_same_answers(tmp_path: Path, cache: Path, made: 
     )
 
 
-def test_more_levels_serve_fewer(tmp_path: Path, made: Counter[str]) -> None:
-    run(plan_of(tmp_path / "a", tmp_path / "cache", sweep={}, uncertainty={"levels": 3}))
+def test_more_levels_serve_fewer(tmp_path: Path, cache: Path, made: Counter[str]) -> None:
+    run(plan_of(tmp_path / "a", cache, sweep={}, uncertainty={"levels": 3}))
     made.clear()
-    (case,) = run(plan_of(tmp_path / "b", tmp_path / "cache", sweep={}, uncertainty={"levels": 2}))
+    (case,) = run(plan_of(tmp_path / "b", cache, sweep={}, uncertainty={"levels": 2}))
     assert not made
     assert case.reference_error["levels"] == 2
 
@@ -148,8 +152,8 @@ def test_what_nobody_asks_for_has_no_node(tmp_path: Path) -> None:
     assert not any(task.payload["volume"] for task in found), "no tetrahedra"
 
 
-def test_an_answer_that_is_gone_meanwhile_is_told(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, tmp_path / "cache")
+def test_an_answer_that_is_gone_meanwhile_is_told(tmp_path: Path, cache: Path) -> None:
+    plan = plan_of(tmp_path, cache)
     cases = [task for task in tasks_of(plan, plan.cases) if task.kind == "case"]
     said = [one for _, one in run_tasks(cases, HerePool(), tmp_path / "failed")]
     assert all("is gone" in one.message and one.remedy for one in said)
