@@ -291,7 +291,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="25",
+        version="26",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),

@@ -214,6 +214,20 @@ def test_a_beam_bends_as_the_elastica() -> None:
     assert_allclose(moved, SIDE**2 * LENGTH, rtol=1e-9, atol=0.0)
 
 
+def test_parts_are_doubled_as_the_answers_ask_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no balance is found, and where twice as many change more than the mesh leaves open."""
+    monkeypatch.setattr(
+        "vdm.parts.body.MOST_TURN", np.inf
+    )  # the linear answer asks for one part, which bends too far
+    body = box(counts=(16, 3, 3), size=(LENGTH, SIDE, SIDE))
+    found = clamped(body).solve(
+        [at_tip(body[0], np.array([0.0, 0.0, -2.0 * E * SIDE**4 / 12.0 / LENGTH**2]))]
+    )
+    assert found.status[0].ok
+    assert found.scalars["parts"][0] == 4
+    assert found.scalars["parts_error"][0] <= found.scalars["mesh_error"][0]
+
+
 def test_what_the_parts_do_not_follow_is_told() -> None:
     """Strain within a part beyond 10 %, and the share of a load that was reached."""
     points = ROD[0]

@@ -15,7 +15,7 @@ from vdm.parts.body import Parts, parts_wanted
 from vdm.peers.bem import BoundaryFormulation
 from vdm.peers.bem_sparse import RoughFormulation
 from vdm.problem import Problem, Step
-from vdm.solution import SolverError
+from vdm.solution import Solution, SolverError
 from vdm.solvers.audit import Audit
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver, carried
@@ -24,8 +24,9 @@ from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver, carried
 class PartsSolver:
     """Solves a history of loads on a body in parts.
 
-    How many is `Parameters.parts`, or follows from the small rotations of the linear answer to the largest load.
-    Where there is more than one, or the number is given, each answer is compared with that of twice as many.
+    How many is `Parameters.parts`, or follows from the small rotations of the linear answer to the largest load;
+    that is doubled where the answers ask for it. Where there is more than one, or the number is given, each answer
+    is compared with that of twice as many.
 
     Parameters
     ----------
@@ -36,6 +37,7 @@ class PartsSolver:
         self._whole = problem
         self._solvers: dict[int, NonlinearSolver] = {}
         self._given = problem.formulation.parameters.parts
+        self._least = 1  # parts that former loads asked for
         self._finer: NonlinearSolver | None = None
         self._finer_step: Step | None = None
         self._solver: NonlinearSolver | None = None
@@ -50,8 +52,7 @@ class PartsSolver:
     @property
     def body(self) -> Parts:
         """Its parts."""
-        assert isinstance(self.solver.body, Parts)
-        return self.solver.body
+        return _parts(self.solver)
 
     @property
     def problem(self) -> Problem:
@@ -79,20 +80,37 @@ class PartsSolver:
             self._solver = self._of(self._given)
         else:
             guess = _guess(self._whole)
-            count = 1 if guess is None else min(wanted(guess), MOST_PARTS)
+            count = min(max(self._least, 1 if guess is None else wanted(guess)), MOST_PARTS)
             self._solver = self._of(count)
-            needed = wanted(LinearSolver(self.problem, factor=self.factor))
+            needed = max(self._least, wanted(LinearSolver(self.problem, factor=self.factor)))
             if min(needed, MOST_PARTS) != count:
                 self._solver = self._of(min(needed, MOST_PARTS))
             self.body.wanted = needed
         seconds = time.perf_counter() - start
-        self._finer = self._finer_step = None
-        if self._given or self.body.n_parts > 1:
-            try:
-                self._finer = self._of(2 * self.body.n_parts)
-            except SolverError:
-                self._finer = None
+        self._finer_step = None
+        self._finer = self._twice(self.body) if self._given or self.body.n_parts > 1 else None
         return seconds
+
+    def doubled(self, solution: Solution) -> bool:
+        """Whether the body has twice the parts from now on, as its answers to the loads ask for.
+
+        Where no balance was found, or where twice as many change more than the mesh leaves open and can be compared
+        with twice as many themselves.
+        """
+        if self._given:
+            return False
+        finer, scalars = self._finer or self._twice(self.body), solution.scalars
+        if finer is None:
+            return False
+        if all(status.ok for status in solution.status):
+            changes_more = scalars.get("parts_error", np.nan) > scalars.get("mesh_error", np.nan)
+            if not np.any(changes_more) or self._twice(_parts(finer)) is None:
+                return False
+        body = _parts(finer)
+        body.wanted = self.body.wanted
+        self._solver, self._least = finer, body.n_parts
+        self._finer, self._finer_step = self._twice(body), None
+        return True
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
         """Solution of one load."""
@@ -115,7 +133,7 @@ class PartsSolver:
         if not isinstance(step, DeformedStep) or step.balance is None:
             return {}
         found = self.body.scalars(step.balance)
-        if self._finer is None or self._finer.body.n_pressures == self.body.n_pressures:
+        if self._finer is None:
             return found
         self._finer_step = self._finer.step(load, self._finer_step)
         area = self._whole.formulation.surface.nodal_areas[:, None]
@@ -143,11 +161,24 @@ class PartsSolver:
         middle, centre = rest[nodes].mean(axis=0), (rest + held)[nodes].mean(axis=0)
         return replace(load, prescribed=(rest + held - centre) @ turn.T + middle - rest)
 
+    def _twice(self, body: Parts) -> NonlinearSolver | None:
+        """Of twice the parts; None where they cannot be made."""
+        try:
+            finer = self._of(2 * body.n_parts)
+        except SolverError:
+            return None
+        return finer if _parts(finer).n_parts > body.n_parts else None
+
     def _of(self, count: int) -> NonlinearSolver:
         if count not in self._solvers:
             body = Parts(self._whole, count)
             self._solvers[count] = NonlinearSolver(body.problem, body, body.factor)
         return self._solvers[count]
+
+
+def _parts(solver: NonlinearSolver) -> Parts:
+    assert isinstance(solver.body, Parts)
+    return solver.body
 
 
 def _guess(problem: Problem) -> LinearSolver | None:
