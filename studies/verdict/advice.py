@@ -314,11 +314,16 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
 
 
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
-    """Elements, unless a surface model is closer than all of them that are not the reference's own numbers."""
+    """Elements, or a surface model that is closer than all that are not the reference; where none serves, that."""
     if not elements:
         return Advice(EXACT, "elements")
     told = [name for name in elements if not digest.same_as_reference(name)]
     best = _closest(digest, [*told, *surface]) if told else elements[0]
+    reference = digest.reference
+    if told and reference is not None and digest.usual_share(best) > 1.0:
+        costs = digest.costs[reference]
+        own = Figures(reference, math.nan, math.nan, costs.frame, costs.set_up, True, 0, len(digest.cases))
+        return Advice(EXACT, "reference", (own,))
     return Advice(EXACT, "closer surface" if best in surface else "elements", (figures(digest, best),))
 
 
