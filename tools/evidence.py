@@ -27,7 +27,7 @@ from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import Study, expand, load_study
-from vdmbench.study.files import overridden
+from vdmbench.study.files import merged
 from vdmbench.study.registry import FINITE_STRAIN, all_models, split
 from vdmbench.verdict.formatting import NOTHING, parameter_name, percent, quantity, short_percent
 
@@ -52,7 +52,8 @@ def ran(
     path = CASES / f"{study}.toml"
     text = path.read_text()
     if changes or name:
-        text = overridden(text, {"study": {"name": name or study}, **(changes or {})})
+        wanted = {"study": {"name": name or study}, **(changes or {})}
+        text = tomli_w.dumps(merged(tomllib.loads(text), wanted))
     return ran_text(text, name or study, surface=surface, codes=codes, runs=runs, beside=path)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
-from .output import UsageError
+from ..study.errors import InputError
 
 _ORDER = (
     *("new", "list", "check", "show", "plan", "run", "calibrate", "report"),
@@ -90,19 +90,11 @@ _LEAST_MEMORY = 50_000_000
 
 
 def run_directory(text: str) -> Path:
-    """A directory with a plan, or one that has lost it, which is not the command's fault."""
+    """A directory with a plan, or one that has lost it, which is not the command's fault. Raises InputError."""
     path = Path(text)
     if not any(map(os.path.exists, (path / "plan.json", path / "cases"))):
-        raise argparse.ArgumentTypeError(f"{text}: not a run directory (it has no plan.json)")
+        raise InputError(f"{text}: not a run directory (it has no plan.json)")
     return path
-
-
-def given_run_directory(text: str) -> Path:
-    """The same of a word that may also be a study. Raises UsageError."""
-    try:
-        return run_directory(text)
-    except argparse.ArgumentTypeError as error:
-        raise UsageError(str(error)) from None
 
 
 def place(text: str) -> Path:
@@ -114,11 +106,11 @@ def place(text: str) -> Path:
 
 def change(text: str) -> str:
     """KEY=VALUE that is TOML, or becomes so where VALUE is quoted."""
-    from ..study.files import OverrideError, changes_of
+    from ..study.files import changes_of
 
     try:
         changes_of(text)
-    except OverrideError as error:
+    except InputError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
     return text
 
@@ -216,7 +208,7 @@ RUNS = (
     ),
 )
 PLANS = (study_argument(), *STUDY_READS, CHANGES, *RUNS, flag("--fresh", "run every case again"))
-RUN = option("directory", type=run_directory, metavar="DIR", help="run directory")
+RUN = option("directory", metavar="DIR", help="run directory")
 BASELINE = option(
     "--baseline", type=place, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
 )

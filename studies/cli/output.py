@@ -25,10 +25,6 @@ OK, REGRESSED, USAGE, FAILED, MACHINE, DAMAGED, NOTHING_COMPARED = range(7)
 BUG, INTERRUPTED = 70, 130
 
 
-class UsageError(ValueError):
-    """A mistake on the command line."""
-
-
 def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     """The headline table, the verdict, the failures and the report's path."""
     if run.told is None:

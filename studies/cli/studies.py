@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..machine import cache_directory, results_directory, usable_processors
-from .output import OK, UsageError, complain, tell
+from ..study.errors import InputError
+from .output import OK, complain, tell
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,7 +56,7 @@ def make_plan(
 
 
 def require_own(plan: Plan, options: argparse.Namespace) -> None:
-    """Raises UsageError where the directory holds no run, or that of another surface file of the same name."""
+    """Raises InputError where the directory holds no run, or that of another surface file of the same name."""
     from ..store.hdf5 import StoreError
     from ..store.run_directory import read_plan, refuse_foreign
     from ..work.explain import surfaces
@@ -71,7 +72,7 @@ def require_own(plan: Plan, options: argparse.Namespace) -> None:
         "--surface" in there.get("command", [])
         and not surfaces(plan).keys() & there.get("surfaces", {}).keys()
     ):
-        raise UsageError(
+        raise InputError(
             f"{plan.directory} has the results of another surface of that name; give those of {options.surface} "
             "a directory of their own by --out"
         )
@@ -125,16 +126,16 @@ def run_missing(plan: Plan, options: argparse.Namespace, **how: Any) -> tuple[Ru
 
 
 def only_case(plan: Plan, why: str) -> PlannedCase:
-    """The case of a study without a sweep. Raises UsageError with `why` where there are more."""
+    """The case of a study without a sweep. Raises InputError with `why` where there are more."""
     if len(plan.cases) > 1:
-        raise UsageError(f"{why} a study of one case; leave [sweep] out")
+        raise InputError(f"{why} a study of one case; leave [sweep] out")
     return plan.cases[0]
 
 
 def numbered_case(plan: Plan, number: int) -> PlannedCase:
-    """The case that --case names, from 1. Raises UsageError where there is none."""
+    """The case that --case names, from 1. Raises InputError where there is none."""
     if number > len(plan.cases):
-        raise UsageError(f"--case {number}: the study has {len(plan.cases)} cases")
+        raise InputError(f"--case {number}: the study has {len(plan.cases)} cases")
     return plan.cases[number - 1]
 
 

@@ -10,7 +10,7 @@ from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
 
 from ..machine import whole_directory, write_atomically
-from ..study.errors import plural
+from ..study.errors import InputError, plural
 from .arguments import (
     BASELINE,
     CASE,
@@ -18,9 +18,9 @@ from .arguments import (
     RUNS,
     STUDY_READS,
     flag,
-    given_run_directory,
     option,
     place,
+    run_directory,
     study_argument,
     verb,
 )
@@ -30,7 +30,6 @@ from .output import (
     OK,
     REGRESSED,
     WIDTH,
-    UsageError,
     answer,
     complain,
     complain_of_failures,
@@ -71,12 +70,12 @@ def report_run(options: argparse.Namespace) -> int:
     """Rebuild the report of a directory."""
     from ..report.rebuild import rebuild
 
-    run, report = rebuild(options.directory)
+    run, report = rebuild(run_directory(options.directory))
     if options.picture:
         from ..report.page import write_picture
 
         write_picture(run, options.picture)
-    return print_run(run, options.directory, report, options.json)
+    return print_run(run, Path(options.directory), report, options.json)
 
 
 @verb(
@@ -93,7 +92,7 @@ def gate_run(options: argparse.Namespace) -> int:
     from .. import gate
     from ..store.cases import read_run
 
-    run = read_run(options.directory)
+    run = read_run(run_directory(options.directory))
     study = run.study.study.name
     path = baseline_of(options, study)
     # where nobody has accepted anything, that is no mistake of the command, and whoever collects files finds them
@@ -136,7 +135,7 @@ def accept_run(options: argparse.Namespace) -> int:
     from ..gate import accept
     from ..store.cases import read_run
 
-    run = read_run(options.directory)
+    run = read_run(run_directory(options.directory))
     path = baseline_of(options, run.study.study.name)
     baseline = accept(run, path, options.reason)
     told = {"baseline": str(path), "cases": len(baseline.cases), "reason": baseline.reason}
@@ -178,9 +177,9 @@ def _side_by_side(options: argparse.Namespace) -> int:
     from ..gate import baseline_of, compare
     from ..store.cases import read_run
 
-    directories = {os.path.normpath(path): path for path in map(given_run_directory, options.directories)}
+    directories = {os.path.normpath(path): path for path in map(run_directory, options.directories)}
     if not 2 <= len(directories) <= MOST:
-        raise UsageError(f"give 2 to {MOST} different run directories, not {len(directories)}")
+        raise InputError(f"give 2 to {MOST} different run directories, not {len(directories)}")
     first, *others = [read_run(path) for path in directories.values()]
     held = [baseline_of(run) for run in (first, *others)]
     findings = [compare(run, held[0], "A") for run in others]
@@ -259,18 +258,18 @@ def _judge(options: argparse.Namespace) -> int:
     from ..work.judge_foreign import judged
 
     if len(options.directories) != 1:
-        raise UsageError("with --result give one study")
+        raise InputError("with --result give one study")
     options.study = options.directories[0]
     name = options.name or options.result.stem
     try:
         safe_name(name)
     except ValueError as error:
-        raise UsageError(f"--name: {error}") from None
+        raise InputError(f"--name: {error}") from None
     plan = make_plan(load(options), options)
     require_own(plan, options)
     case = only_case(plan, "--result judges")
     if name in plan.study.study.models:
-        raise UsageError(f"--name: {name} is a model of the study; give the program another name")
+        raise InputError(f"--name: {name} is a model of the study; give the program another name")
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
     foreign = read_foreign(options.result, mesh, options.array)
     found, _ = run_missing(plan, options)
@@ -313,7 +312,7 @@ def export_files(options: argparse.Namespace) -> int:
     """
     out: Path = options.to
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(f"{out}: is not an empty directory; name a new one")
+        raise InputError(f"{out}: is not an empty directory; name a new one")
     if Path(options.study).is_dir():
         return _export_run(options, out)
     return _export_scene(options, out)
@@ -324,10 +323,10 @@ def _export_run(options: argparse.Namespace, out: Path) -> int:
     from ..report.export import exported, mesh_names, surface_fields, unit_of
     from ..store.cases import read_run
 
-    path = given_run_directory(options.study)
+    path = run_directory(options.study)
     run = read_run(path)
     if not run.cases:
-        raise UsageError(f"{path}: no case is finished, so there is nothing to export")
+        raise InputError(f"{path}: no case is finished, so there is nothing to export")
     names = []
     with whole_directory(out) as begun:
         for name, text in exported(run):

@@ -9,7 +9,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..study.errors import plural
+from ..study.errors import InputError, plural
 from ..study.files import shipped_studies
 from .arguments import (
     CASE,
@@ -25,7 +25,7 @@ from .arguments import (
     study_argument,
     verb,
 )
-from .output import OK, USAGE, UsageError, answer, folded, print_json, print_run
+from .output import OK, USAGE, answer, folded, print_json, print_run
 from .studies import check_files, load, make_plan, numbered_case, require_own, run_missing
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def new_study(options: argparse.Namespace) -> int:
 
     path = Path(options.name).with_suffix("") if options.name.endswith(".toml") else Path(options.name)
     if not is_safe_name(path.name):
-        raise UsageError(
+        raise InputError(
             f"{options.name!r}: a study's name has letters, digits, _ . - and at most 64 of them"
         )
     source = study_path(options.source) if options.source else TEMPLATE
@@ -60,7 +60,7 @@ def new_study(options: argparse.Namespace) -> int:
     wanted |= {target.parent / name: file.read_bytes() for name, file in files.items()}
     for file in wanted:
         if os.path.lexists(file):
-            raise UsageError(f"{file}: is there already, and is not overwritten; choose another name")
+            raise InputError(f"{file}: is there already, and is not overwritten; choose another name")
     for file, content in wanted.items():
         file.parent.mkdir(parents=True, exist_ok=True)
         with file.open("xb") as out:
@@ -76,18 +76,18 @@ def _named(text: str, name: str, source: Path) -> str:
     start = re.search(r"^\s*\[\s*study\s*\]", text, re.MULTILINE)
     found = _NAME.search(text, start.end()) if start else None
     if found is None:
-        raise UsageError(f"{source}: has no line with the name of its study, so it cannot be copied")
+        raise InputError(f"{source}: has no line with the name of its study, so it cannot be copied")
     return f'{text[: found.start()]}{found[1]}"{name}"{text[found.end() :]}'
 
 
 def _files(text: str, directory: Path) -> dict[str, Path]:
-    """The files beside a study that it names. Raises UsageError for one that is elsewhere or missing."""
+    """The files beside a study that it names. Raises InputError for one that is elsewhere or missing."""
     import tomllib
 
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise UsageError(f"the study to copy is not sound: {error}") from None
+        raise InputError(f"the study to copy is not sound: {error}") from None
     tables: list[Any] = [data.get("geometry")]
     tables += data["measured"] if isinstance(data.get("measured"), list) else []
     names = [
@@ -95,7 +95,7 @@ def _files(text: str, directory: Path) -> dict[str, Path]:
     ]
     for name in names:
         if Path(name).is_absolute() or ".." in Path(name).parts or not (directory / name).is_file():
-            raise UsageError(f"it names {name!r}, which is no file beside it; copy the study by hand")
+            raise InputError(f"it names {name!r}, which is no file beside it; copy the study by hand")
     return {name: directory / name for name in names}
 
 

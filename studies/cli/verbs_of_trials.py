@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..machine import cache_directory, results_directory
+from ..study.errors import InputError
 from .arguments import RUNS, STUDY_READS, flag, option, place, study_argument, verb
-from .output import FAILED, OK, UsageError, complain_of_failures, folded, print_json, print_table, tell
+from .output import FAILED, OK, complain_of_failures, folded, print_json, print_table, tell
 from .studies import command_of, load, make_plan, only_case, require_own, run_missing
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def run_benchmark(options: argparse.Namespace) -> int:
             make_plan(study, options)
     out = options.out or results_directory() / "bench"
     if out.is_dir() and any(out.iterdir()) and not (out / "bench.json").exists():
-        raise UsageError(f"{out}: is not empty and not a benchmark's directory; choose another --out")
+        raise InputError(f"{out}: is not empty and not a benchmark's directory; choose another --out")
     found = bench.measure(
         studies,
         vars(options).get("cache") or cache_directory(),
@@ -101,7 +102,7 @@ def try_claims(options: argparse.Namespace) -> int:
 
     numbers = sorted(set(options.numbers))
     if strange := [number for number in numbers if not 1 <= number <= len(claims.DATA["claims"])]:
-        raise UsageError(f"there is no claim {strange[0]}; they are 1 to {len(claims.DATA['claims'])}")
+        raise InputError(f"there is no claim {strange[0]}; they are 1 to {len(claims.DATA['claims'])}")
     if options.points:
         points = claims.read_points(options.points)
     else:
@@ -193,12 +194,12 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
 
     case = only_case(plan, "--measured fits")
     if not case.study.measured:
-        raise UsageError("the study has no [[measured]] table to fit")
+        raise InputError("the study has no [[measured]] table to fit")
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
     try:
         fits = [fit_modulus(case.study, mesh, name) for name in case.study.study.models]
     except NothingMeasuredError as error:
-        raise UsageError(str(error)) from error
+        raise InputError(str(error)) from error
     if options.json:
         return print_json([asdict(fit) for fit in fits])
     print_table(

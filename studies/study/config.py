@@ -59,7 +59,7 @@ def load_study(
     ------
     StudyError
         with every problem of the file.
-    OverrideError
+    InputError
         a change that the study cannot take.
     """
     data, source = _parse(_read_text(path), str(path))

@@ -132,12 +132,18 @@ def key_text(loc: Loc, data: Mapping[str, Any]) -> str:
     for part in loc:
         value = value[part] if _has(value, part) else None
         if isinstance(part, int):
-            name = value.get("name", value.get("region")) if isinstance(value, dict) else None
-            named = text == "constraints" and isinstance(name, str) and _BARE_KEY.fullmatch(name)
+            name = entry_name(value) or ""
+            named = text == "constraints" and _BARE_KEY.fullmatch(name)
             text += f".{name}" if named else f"[{part}]"
         else:
             text += ("." if text else "") + (part if _BARE_KEY.fullmatch(part) else shown(part))
     return text if len(text) <= _LONGEST_KEY else f"{text[: _LONGEST_KEY - 3]}..."
+
+
+def entry_name(entry: Any) -> str | None:
+    """What an entry of an array of tables is called: its name, or that of its region; None where it has none."""
+    name = entry.get("name", entry.get("region")) if isinstance(entry, dict) else None
+    return name if isinstance(name, str) else None
 
 
 def _has(value: Any, part: str | int) -> bool:

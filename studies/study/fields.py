@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, get_args
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from .errors import Loc
+from .errors import Loc, entry_name
 from .kinds import SI, OneOf, Table
 from .schema import MOST_NAMES, Inputs, Known, Range, Study, StudyInfo, Sweep, VdmTable, model_table
 from .units import DIMENSIONS
@@ -217,8 +217,7 @@ def _named(value: Any) -> Iterator[tuple[str, str | int, Any]]:
         yield from ((name, name, item) for name, item in value.items())
     elif isinstance(value, list | tuple):
         for place, item in enumerate(value):
-            name = item.get("name", item.get("region")) if isinstance(item, dict) else None
-            if isinstance(name, str):
+            if (name := entry_name(item)) is not None:
                 yield name, place, item
 
 

@@ -10,13 +10,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import tomli_w
+from .errors import InputError, entry_name
 
 SHIPPED = Path(__file__).parents[1] / "cases"
-
-
-class NoSuchStudyError(ValueError):
-    """Neither a file nor a shipped study; the message has the names that are near."""
 
 
 def shipped_studies() -> dict[str, Path]:
@@ -29,8 +25,8 @@ def study_path(study: str | Path) -> Path:
 
     Raises
     ------
-    NoSuchStudyError
-        neither of them.
+    InputError
+        neither of them; the message has the names that are near.
     """
     path, known = Path(study), shipped_studies()
     if path.exists():
@@ -46,14 +42,10 @@ def study_path(study: str | Path) -> Path:
     if not names and path.suffix == ".toml":
         return path  # whoever reads it says that it is not there
     hint = f"did you mean {' or '.join(names)}?" if names else f"shipped are: {', '.join(known)}"
-    raise NoSuchStudyError(f"no study file {str(study)!r} and no shipped study of that name; {hint}")
+    raise InputError(f"no study file {str(study)!r} and no shipped study of that name; {hint}")
 
 
 # --- A study's text with some of its values replaced ---
-
-
-class OverrideError(ValueError):
-    """A change that a study cannot take; the message says which."""
 
 
 def changes_of(text: str) -> dict[str, Any]:
@@ -61,7 +53,7 @@ def changes_of(text: str) -> dict[str, Any]:
 
     Raises
     ------
-    OverrideError
+    InputError
         no key, or no value.
     """
     key, equals, value = text.partition("=")
@@ -71,24 +63,7 @@ def changes_of(text: str) -> dict[str, Any]:
                 return tomllib.loads(line)
             except tomllib.TOMLDecodeError:
                 pass
-    raise OverrideError(f"write KEY=VALUE, such as tissue.youngs_modulus='3 kPa', not {text!r}")
-
-
-def overridden(text: str, changes: Mapping[str, Any]) -> str:
-    """The TOML of a study in which tables are changed key by key; of a value that is no table all is replaced.
-
-    An entry of an array of tables, such as a constraint, goes by its name or its region. None drops a key.
-
-    Raises
-    ------
-    OverrideError
-        an entry that is not there, or a text that is no TOML.
-    """
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise OverrideError(f"TOML syntax: {error}") from None
-    return tomli_w.dumps(merged(data, changes))
+    raise InputError(f"write KEY=VALUE, such as tissue.youngs_modulus='3 kPa', not {text!r}")
 
 
 def changed_keys(changes: Mapping[str, Any], before: str = "") -> Iterator[str]:
@@ -101,7 +76,15 @@ def changed_keys(changes: Mapping[str, Any], before: str = "") -> Iterator[str]:
 
 
 def merged(table: Mapping[str, Any], changes: Mapping[str, Any], place: str = "") -> dict[str, Any]:
-    """A table with its changes, see `overridden`. Raises OverrideError."""
+    """Tables changed key by key; of a value that is no table all is replaced.
+
+    An entry of an array of tables, such as a constraint, goes by its name or its region. None drops a key.
+
+    Raises
+    ------
+    InputError
+        an entry that is not there.
+    """
     new = dict(table)
     for key, value in changes.items():
         where, old = f"{place}.{key}" if place else key, table.get(key)
@@ -117,10 +100,10 @@ def merged(table: Mapping[str, Any], changes: Mapping[str, Any], place: str = ""
 
 
 def _entries(entries: list[Any], changes: Mapping[str, Any], place: str) -> list[Any]:
-    names = [entry.get("name", entry.get("region")) if isinstance(entry, dict) else None for entry in entries]
+    names = [entry_name(entry) for entry in entries]
     if wrong := sorted(set(changes) - set(names)):
         known = ", ".join(str(name) for name in names if name)
-        raise OverrideError(f"{place} has no entry {wrong[0]!r}; it has: {known or 'none'}")
+        raise InputError(f"{place} has no entry {wrong[0]!r}; it has: {known or 'none'}")
     return [
         merged(entry, changes[str(name)], f"{place}.{name}") if name in changes else entry
         for name, entry in zip(names, entries, strict=True)

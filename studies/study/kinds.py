@@ -189,6 +189,7 @@ def as_path(value: Any, info: ValidationInfo) -> Path:
     return info.context.locate(value) if isinstance(info.context, Source) else Path(value)
 
 
+_FOLLOWS = "default_factory_not_called"  # a default from a key that is wrong itself, which is told
 _WANTED = {  # kind of pydantic error -> what the value must be
     "model_type": "a table",
     "dict_type": "a table",
@@ -230,19 +231,14 @@ class Table(BaseModel):
         try:
             return cls.of(data, handler, info)
         except ValidationError as error:
-            found = error.errors(include_url=False)[: MOST_TOLD + 1]  # some take a search for the name meant
-            faults = [cls._fault(details) for details in found]
+            found = [fault for fault in error.errors(include_url=False) if fault["type"] != _FOLLOWS]
+            faults = [cls._fault(details) for details in found[: MOST_TOLD + 1]]  # some take a search
             raise ValidationError.from_exception_data(cls.__name__, faults) from None
 
     @classmethod
     def of(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:  # noqa: ARG003
         """The table of some data. Raises ValidationError."""
-        return handler(cls.with_defaults(data) if isinstance(data, dict) else data)
-
-    @classmethod
-    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """`data` with those defaults that depend on other keys."""
-        return data
+        return handler(data)
 
     @classmethod
     def keys(cls) -> dict[str, FieldInfo]:

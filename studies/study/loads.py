@@ -23,7 +23,6 @@ from .kinds import (
     OneOf,
     Position,
     Pressure,
-    is_safe_name,
     positive,
 )
 from .registry import load_all
@@ -158,12 +157,9 @@ class Constraint(OneOf):
     kind: str = Field(description="what happens to the region")
     region: str = Field(description="name of the region")
     name: Annotated[Name, Enters.CASE] = Field(
-        "", description="names it in sweeps and reports; the region's name where left out"
+        default_factory=lambda given: given["region"],
+        description="names it in sweeps and reports; the region's name where left out",
     )
-
-    @classmethod
-    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        return {"name": data["region"], **data} if is_safe_name(data.get("region")) else data
 
     @classmethod
     def called(cls) -> str:

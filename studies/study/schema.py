@@ -47,7 +47,6 @@ from .kinds import (
     Table,
     Time,
     Vector3,
-    is_safe_name,
     not_negative,
     number_check,
     one_line,
@@ -154,7 +153,9 @@ class StudyInfo(Table):
         description="names the run directory: letters, digits, _ . -"
     )
     title: Annotated[str, AfterValidator(one_line), Enters.NOTHING] = Field(
-        "", description="one line for the report; the name where left out", max_length=200
+        default_factory=lambda given: given["name"],
+        description="one line for the report; the name where left out",
+        max_length=200,
     )
     models: Annotated[tuple[str, ...], Enters.CASE] = Field(
         description='models to run: registered names, with a solver if wanted, as in "vdm-paper:quasi-linear"',
@@ -182,10 +183,6 @@ class StudyInfo(Table):
     max_cases: Annotated[int, Enters.NOTHING] = Field(
         1000, description="refuse a sweep of more cases than this", ge=1, le=100_000
     )
-
-    @classmethod
-    def with_defaults(cls, data: dict[str, Any]) -> dict[str, Any]:
-        return {"title": data["name"], **data} if is_safe_name(data.get("name")) else data
 
 
 class VdmTable(Table):

@@ -15,7 +15,7 @@ import vdmbench
 from tests.command import write_study
 from tests.report.runs import make_run, sweep_run
 from vdmbench.api import Results
-from vdmbench.study.files import overridden
+from vdmbench.study.files import merged
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +97,8 @@ def test_what_cannot_be_changed_is_told(tmp_path: Path) -> None:
         vdmbench.run(study, tissue={"poisson_ratio": 2.0})
     with pytest.raises(ValueError, match="did you mean quickstart"):
         vdmbench.run("quikstart")
-    assert overridden("a = 1\n[t]\nb = 2\nc = 3\n", {"t": {"b": None, "d": [1]}, "a": 5}) == (
-        "a = 5\n\n[t]\nc = 3\nd = [\n    1,\n]\n"
-    )
+    changed = merged({"a": 1, "t": {"b": 2, "c": 3}}, {"t": {"b": None, "d": [1]}, "a": 5})
+    assert changed == {"a": 5, "t": {"c": 3, "d": [1]}}
 
 
 def test_the_package_is_cheap_to_import() -> None:

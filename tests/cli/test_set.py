@@ -8,7 +8,8 @@ import pytest
 
 from tests.command import vdmbench, write_study
 from vdmbench.store import cases as store
-from vdmbench.study.files import OverrideError, changes_of
+from vdmbench.study.errors import InputError
+from vdmbench.study.files import changes_of
 
 
 @pytest.mark.parametrize(
@@ -27,7 +28,7 @@ def test_a_value_is_toml_or_a_text(text: str, found: object) -> None:
 
 @pytest.mark.parametrize("text", ["a", "a=", "=1", "a b=1"])
 def test_what_is_no_change_is_refused(text: str) -> None:
-    with pytest.raises(OverrideError, match="write KEY=VALUE"):
+    with pytest.raises(InputError, match="write KEY=VALUE"):
         changes_of(text)
 
 

@@ -9,9 +9,8 @@ import pytest
 from tests.command import vdmbench
 from vdmbench.cli.arguments import verbs
 from vdmbench.cli.main import _complain_of
-from vdmbench.cli.output import UsageError
 from vdmbench.store.hdf5 import OlderSchemaError, StoreError
-from vdmbench.study.errors import Problem, StudyError
+from vdmbench.study.errors import InputError, Problem, StudyError
 
 
 @pytest.mark.parametrize(
@@ -24,7 +23,7 @@ from vdmbench.study.errors import Problem, StudyError
         (OSError("it is too late"), 4, ["it is too late"]),
         (StoreError("x.h5 is damaged"), 5, ["x.h5 is damaged"]),
         (OlderSchemaError("x.h5 is old"), 5, ["x.h5 is old"]),
-        (UsageError("no such thing"), 2, ["no such thing"]),
+        (InputError("no such thing"), 2, ["no such thing"]),
         (
             StudyError(Problem("s.toml", line, "a.b", "is bad") for line in (3, 5)),
             2,

@@ -10,7 +10,8 @@ from tests.command import write_study
 from vdmbench.cli.arguments import parse
 from vdmbench.cli.studies import make_plan
 from vdmbench.study.config import load_study
-from vdmbench.study.files import NoSuchStudyError, shipped_studies, study_path
+from vdmbench.study.errors import InputError
+from vdmbench.study.files import shipped_studies, study_path
 
 
 def test_a_name_that_is_nearly_right_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,7 +26,7 @@ def test_a_name_that_is_nearly_right_is_told(tmp_path: Path, monkeypatch: pytest
         ("zzz", "shipped are: accuracy-box, "),
         ("../cases/quickstart", r"did you mean quickstart\?"),
     ]:
-        with pytest.raises(NoSuchStudyError, match=told):
+        with pytest.raises(InputError, match=told):
             study_path(wrong)
     assert study_path("zzz.toml") == Path("zzz.toml"), "its reader says that it is not there"
 

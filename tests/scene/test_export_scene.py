@@ -17,10 +17,10 @@ from numpy.testing import assert_allclose
 from tests.command import SMALL_STUDY, do
 from vdmbench.body.geometry import build_mesh
 from vdmbench.cli.arguments import parse
-from vdmbench.cli.output import UsageError
 from vdmbench.machine import whole_directory
 from vdmbench.scene.export import Handout, write_scene
 from vdmbench.scene.scene import build_scene
+from vdmbench.study.errors import InputError
 from vdmbench.study.schema import Study
 
 STUDY: dict[str, Any] = {
@@ -267,10 +267,10 @@ def test_export_of_a_study(
     told = json.loads(capsys.readouterr().out)
     assert "scene.feb" in told["files"]
     assert json.loads(Path("out/scene.json").read_text())["tissue"]["poisson_ratio"] == 0.4
-    with pytest.raises(UsageError, match="the study has 2 cases"):
+    with pytest.raises(InputError, match="the study has 2 cases"):
         do(parse([*asked[:3], "other", *asked[4:7], "3"]))
     Path("folder").mkdir()
-    with pytest.raises(UsageError, match="not a run directory"):
+    with pytest.raises(InputError, match="not a run directory"):
         do(parse(["export", "folder", "--to", "other"]))
 
 
