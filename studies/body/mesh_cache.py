@@ -38,22 +38,20 @@ def mesh_path(cache_dir: Path, key: str) -> Path:
 
 def read_mesh(path: Path) -> Mesh | None:
     """The mesh stored at `path`, or None where there is none or it is damaged."""
-    stored = read_arrays(path)
-    return None if stored is None else _mesh(stored)
+    found = read_level(path)
+    return None if found is None else found[0]
 
 
 def read_level(path: Path) -> tuple[Mesh, Index] | None:
     """A refinement and its parents (see `refine`), as `read_mesh`."""
     stored = read_arrays(path)
-    return None if stored is None else (_mesh(stored), stored["parents"])
-
-
-def _mesh(stored: dict[str, NDArray[Any]]) -> Mesh:
+    if stored is None:
+        return None
     groups, volumes = (
         {name.removeprefix(kind): stored[name] for name in stored if name.startswith(kind)}
         for kind in ("group/", "volume/")
     )
-    return Mesh(
+    mesh = Mesh(
         points=stored["points"],
         tetrahedra=stored["tetrahedra"],
         surface_nodes=stored["surface_nodes"],
@@ -64,19 +62,11 @@ def _mesh(stored: dict[str, NDArray[Any]]) -> Mesh:
         moved=stored.get("moved"),
         centre=tuple(stored["centre"].tolist()) if "centre" in stored else Mesh.centre,
     )
+    return mesh, stored.get("parents", np.empty((0, 2), dtype=np.int64))
 
 
-def write_mesh(path: Path, mesh: Mesh) -> None:
-    """Store a mesh, whole or not at all. Raises OSError."""
-    write_arrays(path, _arrays(mesh))
-
-
-def write_level(path: Path, mesh: Mesh, parents: Index) -> None:
-    """Store a refinement and its parents, as `write_mesh`."""
-    write_arrays(path, _arrays(mesh) | {"parents": parents})
-
-
-def _arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
+def write_mesh(path: Path, mesh: Mesh, parents: Index | None = None) -> None:
+    """Store a mesh, of a refinement with its parents, whole or not at all. Raises OSError."""
     arrays: dict[str, NDArray[Any]] = {
         "points": mesh.points,
         "tetrahedra": mesh.tetrahedra,
@@ -87,5 +77,8 @@ def _arrays(mesh: Mesh) -> dict[str, NDArray[Any]]:
     }
     if mesh.moved is not None:
         arrays["moved"] = mesh.moved
+    if parents is not None:
+        arrays["parents"] = parents
     arrays |= {f"volume/{name}": mask for name, mask in mesh.volumes.items()}
-    return arrays | {f"group/{name}": mask for name, mask in mesh.groups.items()}
+    arrays |= {f"group/{name}": mask for name, mask in mesh.groups.items()}
+    write_arrays(path, arrays)

@@ -29,7 +29,7 @@ from .sweep import (
     substituted,
     variations,
 )
-from .toml_lines import NotToml, TooLarge, key_lines
+from .toml_lines import TooLarge, key_lines
 from .units import shown
 
 __all__ = ["ResolvedCase", "Study", "StudyError", "holds_nothing"]  # and what is defined here
@@ -62,7 +62,7 @@ def load_study(
     InputError
         a change that the study cannot take.
     """
-    data, source = _parse(_read_text(path), str(path))
+    data, source = _parsed(path)
     for change in changes:
         data = merged(data, change)
     if any(changes):
@@ -220,12 +220,13 @@ def _plain(study: Study, **options: Any) -> dict[str, Any]:
 # --- the file ---
 
 
-def _read_text(path: Path) -> str:
+def _parsed(path: Path) -> tuple[dict[str, Any], Source]:
+    """What a study file says, and where each key stands. Raises StudyError."""
+
     def wrong(message: str, line: int = 1) -> StudyError:
         return StudyError([Problem(str(path), line, "", message)])
 
-    fault = file_fault(path)
-    if fault:
+    if fault := file_fault(path):
         raise wrong(fault)
     try:
         with path.open("rb") as file:
@@ -235,32 +236,25 @@ def _read_text(path: Path) -> str:
     if len(raw) > MAX_BYTES:
         raise wrong(f"is larger than {MAX_BYTES // 1_000_000} MB; a study file is text of some hundred lines")
     try:
-        return raw.decode("utf-8-sig")
+        text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise wrong("is not UTF-8 text; save the file in UTF-8", line) from None
-
-
-def _parse(text: str, path: str) -> tuple[dict[str, Any], Source]:
-    def wrong(message: str, line: int) -> StudyError:
-        return StudyError([Problem(path, line, "", message)])
-
     lines: dict[Loc, int] = {}
     try:
         lines = key_lines(text)
     except TooLarge as error:
         raise wrong(str(error), error.line) from None
-    except NotToml:
+    except tomllib.TOMLDecodeError:
         pass  # tomllib says it better
     try:
-        return tomllib.loads(text), Source(path, lines, text)
+        return tomllib.loads(text), Source(str(path), lines, text)
     except tomllib.TOMLDecodeError as error:
         message = re.sub(r" \(at .*\)$", "", str(error))
         raise wrong(f"TOML syntax: {message[:1].lower()}{message[1:]}", _line_of(error, text)) from None
     except ValueError:  # Python converts no whole number of more than 4,300 digits
         match = _LONG_NUMBER.search(text)
-        line = text.count("\n", 0, match.start()) + 1 if match else 1
-        raise wrong("a number is too long", line) from None
+        raise wrong("a number is too long", text.count("\n", 0, match.start()) + 1 if match else 1) from None
 
 
 def _line_of(error: tomllib.TOMLDecodeError, text: str) -> int:

@@ -7,6 +7,7 @@ refuses what `tomllib` has no bound for: a dotted key of 40 kB takes 1.6 GB ther
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterator
 
 Path = tuple[str | int, ...]
@@ -19,12 +20,6 @@ _SPACE = re.compile(r"(?:[ \t\n\r]|#[^\n]*)*")
 _STRING = r'"""(?:[^\\]|\\.)*?"{3,5}(?!")|\'\'\'.*?\'{3,5}(?!\')|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\''
 _KEY = re.compile(rf"{_STRING}|[A-Za-z0-9_-]+", re.DOTALL)
 _VALUE = re.compile(rf"{_STRING}|[^,\]}}#\n]+", re.DOTALL)
-_ESCAPE = re.compile(r'\\(?:u([0-9A-Fa-f]{4})|U([0-9A-Fa-f]{8})|([btnfr"\\]))')
-_ESCAPED = {"b": "\b", "t": "\t", "n": "\n", "f": "\f", "r": "\r", '"': '"', "\\": "\\"}
-
-
-class NotToml(ValueError):
-    """The text is not what `tomllib` would have accepted."""
 
 
 class TooLarge(ValueError):
@@ -39,7 +34,7 @@ def key_lines(text: str) -> dict[Path, int]:
     """Map the path of every key, list item and table to the 1-based line where it is (first) written.
 
     A path is what one would index the parsed document with: `("constraints", 0, "region")`.
-    Raises TooLarge, and NotToml on a text that is not TOML (not every fault is found: that is tomllib's task).
+    Raises TooLarge, and TOMLDecodeError of a text that is no TOML; not every fault is found: tomllib's task.
     """
     scanner = _Scanner(text)
     table: Path = ()
@@ -134,13 +129,13 @@ class _Scanner:
 
     def _need(self, token: str) -> None:
         if not self._take(token):
-            raise NotToml(f"{token} is missing on line {self._line()}")
+            raise tomllib.TOMLDecodeError(f"{token} is missing on line {self._line()}")
 
     def _match(self, pattern: re.Pattern[str]) -> str:
         self._take("")
         match = pattern.match(self.text, self.at)
         if match is None:
-            raise NotToml(f"cannot read line {self._line()}")
+            raise tomllib.TOMLDecodeError(f"cannot read line {self._line()}")
         self.at = match.end()
         return match.group()
 
@@ -157,11 +152,4 @@ class _Scanner:
 
 def _unquoted(key: str) -> str:
     """The text of a bare key, or of a one-line string."""
-    if not key.startswith('"'):
-        return key.strip("'")
-
-    def plain(match: re.Match[str]) -> str:
-        short, long, letter = match.groups()
-        return _ESCAPED[letter] if letter else chr(int(short or long, 16))
-
-    return _ESCAPE.sub(plain, key[1:-1])
+    return next(iter(tomllib.loads(f"{key} = 0"))) if key[0] in "\"'" else key

@@ -19,7 +19,7 @@ from typing import Any
 
 from fem_reference.progress import Progress, reported
 
-from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_level
+from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_mesh
 from ..body.refine import Hierarchy, refine, refined
 from ..machine import processor_name
 from ..measures.reference import level_scene, restricted
@@ -87,7 +87,7 @@ def _mesh(payload: Payload) -> None:
 def _level(payload: Payload) -> None:
     """Put the refinement of a mesh into the cache."""
     path = mesh_path(Path(payload["cache"]), level_key(payload["case"]["mesh"], payload["level"]))
-    write_level(path, *refine(_meshes(payload, payload["level"] - 1).finest))
+    write_mesh(path, *refine(_meshes(payload, payload["level"] - 1).finest))
 
 
 def _answers(payload: Payload) -> None:
