@@ -2,7 +2,7 @@
 
 Everything is scaled as in `fem_reference.system`: lengths in mean edges, stresses in shear moduli, and the pressure
 p = a q. With the tangent's factors (`fem_reference.kinematics.Tangent`) an element matrix is a sum of products of
-short vectors over the quadrature points, done for many elements at a time.
+short vectors over the quadrature points, added to the sums at once.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from solver_common.jit import compiled
 # The volume constraint is of degree 4: a rule exact to degree 5 (14 points, all weights positive).
 _DEGREE = 5
 _CHUNK = 1024  # elements per pass: its arrays stay near the caches
+_LANES = 16  # points and zeros: a compiled loop of this constant length, a multiple of four, uses vectors
 
 
 @dataclass(frozen=True)
@@ -59,11 +60,11 @@ class ElementAssembly:
         self._stiffness = np.ones(len(mesh.volumes)) if self.stiffness is None else self.stiffness
         points, weights = get_quadrature(RefTet, _DEGREE)
         self._barycentric = np.vstack([1.0 - points.sum(axis=0), points]).T
-        self._reference = reference_gradients(mesh.order, self._barycentric)
-        self._to_gradient = np.ascontiguousarray(
-            self._reference.transpose(1, 0, 2).reshape(self._reference.shape[1], -1)
-        )
-        self._by_coordinate = np.ascontiguousarray(self._reference.transpose(2, 0, 1).reshape(3, -1))
+        reference = reference_gradients(mesh.order, self._barycentric)
+        width = reference.shape[1]
+        self._to_gradient = np.ascontiguousarray(reference.transpose(1, 0, 2).reshape(width, -1))
+        self._table = np.zeros((3, width, _LANES))
+        self._table[..., : len(weights)] = reference.transpose(2, 1, 0)
         length = mesh.mean_edge
         self._barycentric_gradients = mesh.barycentric_gradients * length
         self._weights = (mesh.volumes / length**3)[:, None] * (6.0 * weights)
@@ -105,10 +106,26 @@ class ElementAssembly:
         stiffness = np.zeros((self.pattern.size, 3, 3))
         divergence = np.zeros((self.coupling.size, 1, 3))
         for part in self._parts():
-            matrices, couplings = self._element_matrices(part, displacement, pressure)
-            for i in range(3):
-                _add(stiffness[:, i], self.pattern.place[part], matrices[:, i])
-            _add(divergence[:, 0], self.coupling.place[part], couplings)
+            k = self._kinematics(part, displacement)
+            tangent = self.law.tangent(k, self._at_points(part, pressure))
+            weights = self._weights[part] * self._stiffness[part, None]
+            _add_products(
+                stiffness,
+                divergence,
+                self.pattern.place[part],
+                self.coupling.place[part],
+                self._barycentric_gradients[part],
+                self._table,
+                k.inverse,
+                weights[..., None, None] * tangent.metric,
+                weights * tangent.crossed,
+                weights * tangent.dilational,
+                (self._weights[part] * (1.0 + k.dilation))[..., None] * self._barycentric,
+            )
+            if tangent.elasticity is not None:
+                elasticity = weights[..., None, None] * tangent.elasticity
+                matrices = self._elastic(part, k.deformation_gradient, elasticity)
+                _add(stiffness, self.pattern.place[part], matrices)
         return stiffness, divergence
 
     def strain_energy(self, displacement: Array) -> float:
@@ -153,35 +170,15 @@ class ElementAssembly:
         """(m, Q) undeformed volumes that the quadrature points stand for, in units of the mean edge cubed."""
         return self._weights
 
-    def _element_matrices(self, part: slice, displacement: Array, pressure: Array) -> tuple[Array, Array]:
-        """(e, 3, n, 3, n) stiffness and (e, 4, 3, n) divergence of the elements of one pass."""
-        k = self._kinematics(part, displacement)
-        tangent = self.law.tangent(k, self._at_points(part, pressure))
-        weights = self._weights[part] * self._stiffness[part, None]
-        count, points = weights.shape
-        width = self._reference.shape[1]
-        shape = (count, 3, width, 3, width)
-        # (e, 3, points * n) from one product, then (e, points, 3, n)
-        gradients = np.swapaxes(self._barycentric_gradients[part], 1, 2) @ self._by_coordinate
-        gradients = np.ascontiguousarray(gradients.reshape(count, 3, points, width).swapaxes(1, 2))
-        spatial = np.swapaxes(k.inverse, 2, 3) @ gradients
-        metric = weights[..., None, None] * tangent.metric
-        out = _products(gradients, spatial, metric, weights * tangent.crossed, weights * tangent.dilational)
-        if tangent.along is not None and self.law.fibre is not None:
-            fibre = self.law.fibre
-            stretched = k.deformation_gradient @ fibre
-            along = stretched[..., None] * (fibre @ gradients)[:, :, None]
-            dyads = along.reshape(count, points, -1)
-            scaled = dyads * (weights * tangent.along)[..., None]
-            out += (np.swapaxes(scaled, 1, 2) @ dyads).reshape(shape)
-        if tangent.elasticity is not None:
-            strains = _strains(k.deformation_gradient, gradients)
-            weighted = (weights[..., None, None] * tangent.elasticity) @ strains
-            flat = (count, -1, 3 * width)
-            out += (np.swapaxes(strains.reshape(flat), 1, 2) @ weighted.reshape(flat)).reshape(shape)
-        volumes = (self._weights[part] * (1.0 + k.dilation))[..., None] * self._barycentric
-        coupling = np.swapaxes(volumes, 1, 2) @ spatial.reshape(count, points, 3 * width)
-        return out, coupling.reshape(count, 4, 3, width)
+    def _elastic(self, part: slice, deformation: Array, elasticity: Array) -> Array:
+        """(e, 3, n, 3, n) element matrices of the (e, q, 6, 6) elasticity with weights in it."""
+        count, points = elasticity.shape[:2]
+        gradients = np.tensordot(self._barycentric_gradients[part], self._table[..., :points], (1, 0))
+        strains = _strains(deformation, np.ascontiguousarray(np.moveaxis(gradients, 3, 1)))
+        width = strains.shape[-1]
+        weighted = (elasticity @ strains).reshape(count, -1, width)
+        matrices = np.swapaxes(strains.reshape(count, -1, width), 1, 2) @ weighted
+        return np.asarray(matrices.reshape(count, 3, width // 3, 3, width // 3))
 
     def _kinematics(self, part: slice, displacement: Array) -> Kinematics:
         local = np.swapaxes(displacement[self.mesh.element_nodes[part]], 1, 2)
@@ -205,44 +202,109 @@ class ElementAssembly:
 
 
 @compiled
-def _products(gradients: Array, spatial: Array, metric: Array, crossed: Array, dilational: Array) -> Array:
-    """(e, 3, n, 3, n) element matrices of the first three terms of `Tangent`, with weights in their factors.
+def _add_products(
+    stiffness: Array,
+    divergence: Array,
+    place: Index,
+    coupling: Index,
+    axes: Array,
+    table: Array,
+    inverse: Array,
+    metric: Array,
+    crossed: Array,
+    dilational: Array,
+    volumes: Array,
+) -> None:
+    """Add the first three terms of `Tangent` and the couplings of some elements to the blocks at their places.
 
-    `gradients` and `spatial` are (e, q, 3, n), by undeformed and by deformed coordinates.
+    `table` is (3, n, _LANES), the reference gradients, `axes` (e, 3, 3), those of the reference coordinates;
+    `inverse` (e, q, 3, 3) is F^-1; weights are in the factors and in the (e, q, 4) shares of the pressures.
     """
-    elements, points, _, width = gradients.shape
-    out = np.empty((elements, 3, width, 3, width))
-    blocks, scalar = np.empty((3, 3, width, width)), np.empty((width, width))
+    elements, points = crossed.shape
+    width = table.shape[1]
+    # Each holds all points of one component, with zeros after the last point.
+    at_points = np.zeros((3, 3, 3, _LANES))
+    pulling, stretching, factors = at_points[0], at_points[1], at_points[2, 0]
+    shares = np.zeros((4, _LANES))
+    shape = (width, 3, _LANES)
+    gradient, spatial, stretched = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    crossing, dilating = np.zeros(shape), np.zeros(shape)
+    block = np.empty((3, 3))
     for e in range(elements):
-        blocks[:], scalar[:] = 0.0, 0.0
         for q in range(points):
-            g, s, m = gradients[e, q], spatial[e, q], metric[e, q]
+            factors[0, q], factors[1, q] = crossed[e, q], dilational[e, q]
+            for i in range(3):
+                for j in range(3):
+                    pulling[i, j, q], stretching[i, j, q] = inverse[e, q, i, j], metric[e, q, i, j]
+            for row in range(4):
+                shares[row, q] = volumes[e, q, row]
+        for a in range(width):
+            for i in range(3):
+                for q in range(_LANES):
+                    gradient[a, i, q] = (
+                        axes[e, 0, i] * table[0, a, q]
+                        + axes[e, 1, i] * table[1, a, q]
+                        + axes[e, 2, i] * table[2, a, q]
+                    )
+            x, y, z = gradient[a]
+            for i in range(3):
+                for q in range(_LANES):
+                    pulled = pulling[0, i, q] * x[q] + pulling[1, i, q] * y[q] + pulling[2, i, q] * z[q]
+                    spatial[a, i, q] = pulled
+                    crossing[a, i, q] = factors[0, q] * pulled
+                    dilating[a, i, q] = factors[1, q] * pulled
+                    stretched[a, i, q] = (
+                        stretching[i, 0, q] * x[q] + stretching[i, 1, q] * y[q] + stretching[i, 2, q] * z[q]
+                    )
+        for a in range(width):
+            for b in range(a, width):
+                _pair(stretched[a], crossing[a], dilating[a], gradient[b], spatial[b], block)
+                at, mirrored = stiffness[place[e, a * width + b]], stiffness[place[e, b * width + a]]
+                for i in range(3):
+                    for k in range(3):
+                        at[i, k] += block[i, k]
+                        if a != b:  # symmetric
+                            mirrored[k, i] += block[i, k]
+        for row in range(4):
             for a in range(width):
                 for i in range(3):
-                    x = m[i, 0] * g[0, a] + m[i, 1] * g[1, a] + m[i, 2] * g[2, a]
-                    for b in range(width):
-                        scalar[a, b] += x * g[i, b]
-                    for k in range(i, 3):  # symmetric: the other half follows
-                        x, y = dilational[e, q] * s[i, a], crossed[e, q] * s[k, a]
-                        for b in range(width):
-                            blocks[i, k, a, b] += x * s[k, b] + y * s[i, b]
-        for i in range(3):
-            blocks[i, i] += scalar
-            for k in range(i, 3):
-                out[e, i, :, k] = blocks[i, k]
-                out[e, k, :, i] = blocks[i, k].T
-    return out
+                    total = 0.0
+                    for q in range(_LANES):
+                        total += shares[row, q] * spatial[a, i, q]
+                    divergence[coupling[e, row * width + a], 0, i] += total
 
 
 @compiled
-def _add(sums: Array, place: Index, values: Array) -> None:
-    """Add (e, r, 3, n) element blocks to (size, 3) sums at (e, r n) places."""
-    elements, rows, components, columns = values.shape
+def _pair(stretched: Array, c: Array, d: Array, gradient: Array, s: Array, block: Array) -> None:
+    """The (3, 3) block of a pair of nodes, by one pass over their (3, _LANES) products: written out for speed."""
+    xx = xy = xz = yx = yy = yz = zx = zy = zz = scalar = 0.0
+    for q in range(_LANES):
+        scalar += stretched[0, q] * gradient[0, q] + stretched[1, q] * gradient[1, q]
+        scalar += stretched[2, q] * gradient[2, q]
+        xx += (c[0, q] + d[0, q]) * s[0, q]
+        xy += d[0, q] * s[1, q] + c[1, q] * s[0, q]
+        xz += d[0, q] * s[2, q] + c[2, q] * s[0, q]
+        yx += d[1, q] * s[0, q] + c[0, q] * s[1, q]
+        yy += (c[1, q] + d[1, q]) * s[1, q]
+        yz += d[1, q] * s[2, q] + c[2, q] * s[1, q]
+        zx += d[2, q] * s[0, q] + c[0, q] * s[2, q]
+        zy += d[2, q] * s[1, q] + c[1, q] * s[2, q]
+        zz += (c[2, q] + d[2, q]) * s[2, q]
+    block[0, 0], block[0, 1], block[0, 2] = xx + scalar, xy, xz
+    block[1, 0], block[1, 1], block[1, 2] = yx, yy + scalar, yz
+    block[2, 0], block[2, 1], block[2, 2] = zx, zy, zz + scalar
+
+
+@compiled
+def _add(sums: Array, place: Index, matrices: Array) -> None:
+    """Add (e, 3, n, 3, n) element matrices to (size, 3, 3) blocks at (e, n n) places."""
+    elements, _, width, _, _ = matrices.shape
     for e in range(elements):
-        for a in range(rows):
-            for i in range(components):
-                for b in range(columns):
-                    sums[place[e, a * columns + b], i] += values[e, a, i, b]
+        for i in range(3):
+            for a in range(width):
+                for k in range(3):
+                    for b in range(width):
+                        sums[place[e, a * width + b], i, k] += matrices[e, i, a, k, b]
 
 
 def _strains(deformation: Array, gradients: Array) -> Array:

@@ -74,21 +74,20 @@ class Kinematics:
 class Tangent:
     """dP/dF in factors, from which element matrices are products of short vectors.
 
-    A_iJkL = d_ik metric_JL + crossed F^-1_Jk F^-1_Li + F_iI F_kK elasticity_IJKL + sum of c D_iJ D_kL over dyads D
+    A_iJkL = d_ik metric_JL + crossed F^-1_Jk F^-1_Li + dilational F^-1_Ji F^-1_Lk
+              + F_iI F_kK elasticity_IJKL
 
     Attributes
     ----------
     metric : (3, 3) or (..., 3, 3), symmetric
     crossed : (...,)
-    dilational : (...,) coefficient of the dyad with D = F^-T
-    along : (...,) coefficient of the dyad with D = (F a) x a, or None for a law without fibres
+    dilational : (...,)
     elasticity : (..., 6, 6) 2 dS/dC at the pairs of indices `PAIRS`, or None for a law that needs no such term
     """
 
     metric: Array
     crossed: Array
     dilational: Array
-    along: Array | None = None
     elasticity: Array | None = None
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fem_reference.hyperelastic import FungDemiray, MooneyRivlin, Ogden, Yeoh
-from fem_reference.kinematics import Kinematics, Law, Tangent, less_logarithm, product
+from fem_reference.kinematics import PAIRS, Kinematics, Law, Tangent, less_logarithm, product
 from solver_common.arrays import Array
 from solver_common.solution import solver_error
 
@@ -127,7 +127,10 @@ class TransverselyIsotropic:
         base = self.matrix.tangent(k, pressure)
         tension = 0.5 * self.fibre_modulus * self._stretch(k)
         metric = base.metric + tension[..., None, None] * np.outer(self.fibre, self.fibre)
-        return Tangent(metric, base.crossed, base.dilational, np.full_like(tension, self.fibre_modulus))
+        first, second = PAIRS
+        dyad = self.fibre[first] * self.fibre[second]
+        elasticity = np.broadcast_to(self.fibre_modulus * np.outer(dyad, dyad), (*tension.shape, 6, 6))
+        return Tangent(metric, base.crossed, base.dilational, elasticity)
 
     def _stretch(self, k: Kinematics) -> Array:
         """(...,) I4 - 1."""
