@@ -14,7 +14,7 @@ from solver_common.quadrature import facet_quadrature
 from ..body.mesh import Mesh, read_only
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
 from ..study.errors import Loc
-from ..study.loads import Springs
+from ..study.loads import Acts, Springs
 from ..study.registry import EXTRAS
 from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
@@ -207,82 +207,69 @@ def build_scene(
     regions = in_mesh_coordinates(study, mesh)
     if masks is None:
         masks = {name: select(region, mesh, regions) for name, region in regions.items()}
-    acting = _Acting(mesh)
+    acting = []
     for number, constraint in enumerate(study.constraints):
         place, name = ("constraints", number), constraint.region
         _require_nodes(name, study, mesh, masks, ("regions", name))
-        acting.add(PlacedConstraint(constraint, place, regions[name], mesh, masks[name]))
+        on = PlacedConstraint(constraint, place, regions[name], mesh, masks[name])
+        acting.append((on, _acts(on)))
     if study.acceptance.region is not None:
         _require_nodes(study.acceptance.region, study, mesh, masks, ("acceptance", "region"))
-    _check_apart(study, masks, acting)
+    fixed, constrained, prescribed = _held(acting, len(mesh.surface_nodes))
+    _check_apart(study, masks, fixed, constrained, mesh.triangles)
+    pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
+    pushed = [place_indenter(*acts.pushed, mesh, on.place) for on, acts in acting if acts.pushed is not None]
     return Scene(
         mesh=mesh,
         tissue=study.tissue,
         parameters=study.vdm_parameters(),
         overrides=study.model_parameters(),
         regions=masks,
-        fixed=acting.fixed,
-        constrained=acting.constrained,
-        prescribed=acting.prescribed,
-        facet_pressure=acting.pressure,
+        fixed=fixed,
+        constrained=constrained,
+        prescribed=prescribed,
+        facet_pressure=sum((acts.pressure for _, acts in acting if acts.pressure is not None), pressure),
         gravity=np.array(study.gravity.acceleration if study.gravity else (0.0, 0.0, 0.0)),
         environment_pressure=study.environment.pressure if study.environment else 0.0,
         load_factors=np.array(study.load.history),
         anisotropy=study.anisotropy,
         condition=study.study.condition,
-        dead=tuple(acting.dead),
-        springs=tuple(acting.springs),
+        dead=tuple((acts.dead[0], np.array(acts.dead[1])) for _, acts in acting if acts.dead is not None),
+        springs=tuple(acts.springs for _, acts in acting if acts.springs is not None),
         extras=extras_of(study),
         inclusions=place_inclusions(study, mesh, inside),
         homogeneous=frozenset(study.study.homogeneous),
-        indenter=acting.indenter,
+        indenter=pushed[0] if pushed else None,  # a study has one at most
     )
 
 
-class _Acting:
-    """What constraints do together on a mesh; the fields are those of `Scene`."""
+def _acts(on: PlacedConstraint) -> Acts:
+    """What a constraint does. Raises SceneError for one that does what its models are not asked for."""
+    acts = on.constraint.act(on)
+    if acts.needs_an_extra and on.constraint.extra not in EXTRAS:
+        raise SceneError(
+            f"the kind {on.constraint.kind!r} has to declare as `extra` what its models take", on.place
+        )
+    return acts
 
-    def __init__(self, mesh: Mesh) -> None:
-        n_nodes, self.triangles = len(mesh.surface_nodes), mesh.triangles
-        self.fixed, self.constrained = np.zeros(n_nodes, dtype=bool), np.zeros(n_nodes, dtype=bool)
-        self.prescribed = np.zeros((n_nodes, 3))
-        self.pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
-        self.dead: list[tuple[Index, Array]] = []
-        self.springs: list[Springs] = []
-        self.indenter: PlacedIndenter | None = None
 
-    def add(self, on: PlacedConstraint) -> None:
-        """One more of them."""
-        kind = on.constraint
-        acts = kind.act(on)
-        if acts.needs_an_extra and kind.extra not in EXTRAS:
-            raise SceneError(
-                f"the kind {kind.kind!r} has to declare as `extra` what its models take", on.place
-            )
-        if acts.displacement is not None:
-            self._move(on, acts.displacement)
-        elif kind.holds:
-            self.fixed |= on.nodes
-        if acts.pressure is not None:
-            self.pressure += acts.pressure
-        if acts.dead is not None:
-            parts, force = acts.dead
-            self.dead.append((parts, np.array(force)))
-        if acts.springs is not None:
-            self.springs.append(acts.springs)
-        if acts.pushed is not None:
-            self.indenter = place_indenter(*acts.pushed, on.mesh, on.place)
-
-    def _move(self, on: PlacedConstraint, displacement: Array) -> None:
-        moved = np.broadcast_to(displacement, self.prescribed.shape)
-        both = self.constrained & on.nodes & (self.prescribed != moved).any(axis=1)
+def _held(acting: list[tuple[PlacedConstraint, Acts]], n_nodes: int) -> tuple[Mask, Mask, Array]:
+    """(N,) nodes at rest, (N,) nodes that are moved, and (N, 3) by how much [m]."""
+    fixed, constrained, prescribed = np.zeros(n_nodes, bool), np.zeros(n_nodes, bool), np.zeros((n_nodes, 3))
+    for on, acts in acting:
+        if acts.displacement is None:
+            fixed |= on.nodes & on.constraint.holds
+            continue
+        moved = np.broadcast_to(acts.displacement, prescribed.shape)
+        both = constrained & on.nodes & (prescribed != moved).any(axis=1)
         if both.any():
             raise SceneError(
                 f"{on.constraint.name!r} moves {both.sum()} nodes that another constraint moves differently",
                 on.place,
             )
-        self.constrained |= on.nodes
-        self.prescribed[on.nodes] = moved[on.nodes]
+        constrained |= on.nodes
+        prescribed[on.nodes] = moved[on.nodes]
+    return fixed, constrained, prescribed
 
 
 def _require_nodes(name: str, study: Study, mesh: Mesh, masks: Mapping[str, Mask], place: Loc) -> None:
@@ -296,19 +283,20 @@ def _require_nodes(name: str, study: Study, mesh: Mesh, masks: Mapping[str, Mask
     raise SceneError(f"{told}: {body_extent(low, high)}", place)
 
 
-def _check_apart(study: Study, masks: Mapping[str, Mask], acting: _Acting) -> None:
+def _check_apart(
+    study: Study, masks: Mapping[str, Mask], fixed: Mask, constrained: Mask, triangles: Index
+) -> None:
     """Refuses what moves, loads or supports a part of the body that is held otherwise."""
     for number, part in enumerate(study.constraints):
         mask = masks[part.region]
         if part.holds:  # what another one holds at rest
-            covered = int((mask & acting.fixed).sum()) if part.loads else 0
+            covered = int((mask & fixed).sum()) if part.loads else 0
             told = f"moves {covered} nodes that are fixed"
         elif part.supports:
-            held = mask & (acting.fixed | acting.constrained)
-            covered = int(held[acting.triangles].all(axis=1).sum())
+            covered = int((mask & (fixed | constrained))[triangles].all(axis=1).sum())
             told = f"has {covered} facets that are fixed or constrained"
         else:
-            covered = int((mask & (acting.fixed | acting.constrained)).sum())
+            covered = int((mask & (fixed | constrained)).sum())
             told = f"covers {covered} nodes that are fixed or constrained"
         if covered:
             place = ("constraints", number)

@@ -298,14 +298,14 @@ def check_mesh_size(mesh_size: float, smallest_extent: float) -> None:
         )
 
 
-def estimated_nodes(area: float, volume: float, mesh_size: float) -> float:
-    """Nodes of a uniform mesh: those on `area` plus those inside `volume` (0 where only the surface is meshed).
+def estimated_nodes(area: float, volume: float, mesh_size: float) -> tuple[float, float]:
+    """Nodes of a uniform mesh on `area` and inside `volume` (0 where only the surface is meshed).
 
     Equilateral triangles of edge h give area / (h^2 sqrt(3)/2) surface nodes. The number inside is a fit to
     meshes of this module from 400 to 90,000 nodes: gmsh leaves the inside somewhat coarser than the surface.
     """
-    on_surface = 2 / math.sqrt(3) * area / mesh_size**2
-    return on_surface + max(0.0, 0.6 * volume / mesh_size**3 - 0.37 * area / mesh_size**2)
+    inside = max(0.0, 0.6 * volume / mesh_size**3 - 0.37 * area / mesh_size**2)
+    return 2 / math.sqrt(3) * area / mesh_size**2, inside
 
 
 def expected_size(area: float, volume: float, mesh_size: float) -> tuple[float, float]:
@@ -313,8 +313,7 @@ def expected_size(area: float, volume: float, mesh_size: float) -> tuple[float, 
 
     A tetrahedral mesh with many nodes has about six cells to a node, on the surface about two.
     """
-    on_surface = estimated_nodes(area, 0.0, mesh_size)
-    inside = max(0.0, estimated_nodes(area, volume, mesh_size) - on_surface)
+    on_surface, inside = estimated_nodes(area, volume, mesh_size)
     return on_surface, 2.6 * on_surface + 6.5 * inside if volume else 0.0
 
 
@@ -322,7 +321,7 @@ def check_node_budget(
     area: float, volume: float, mesh_size: float, remedy: str = "use a larger mesh_size"
 ) -> None:
     """Raise MeshError where the estimated number of nodes exceeds `MAX_NODES`."""
-    nodes = estimated_nodes(area, volume, mesh_size)
+    nodes = sum(estimated_nodes(area, volume, mesh_size))
     if nodes > MAX_NODES:
         raise MeshError(
             f"mesh_size {mesh_size:g} m would give about {nodes:.2g} nodes, more than the {MAX_NODES} allowed; "
