@@ -23,7 +23,6 @@ from ..study.shapes import (
     file_digest,
 )
 from .mesh import Mesh
-from .mesh_file import check_readable
 from .read_apart import clean_of
 from .repair import Clean
 from .surface_measures import enclosed_volume, facet_areas, shells
@@ -47,7 +46,6 @@ class ImportedSurface:
 
 def imported_surface(geometry: FileBody, *, volume: bool) -> ImportedSurface:
     """The surface of a file, fit to be meshed as asked. Raises MeshError."""
-    check_readable(geometry.path)
     clean = _clean(geometry.path, file_digest(geometry.path), geometry.repair or "")
     points, centre, scale = _in_metres(clean.points, geometry)
     size = geometry.mesh_size or 0.0
@@ -69,7 +67,6 @@ def _clean(path: Path, digest: str, repair: str) -> Clean:  # noqa: ARG001
 
 def imported_tetrahedra(geometry: FileBody) -> Mesh:
     """The tetrahedra of a file, used as they are. Raises MeshError."""
-    check_readable(geometry.path)
     clean = _clean(geometry.path, file_digest(geometry.path), "")
     if len(clean.points) > MAX_NODES:
         raise MeshError(f"has {len(clean.points)} nodes, more than the {MAX_NODES} allowed; coarsen it")
@@ -102,7 +99,8 @@ def named(geometry: FileBody) -> Iterator[None]:
     try:
         yield
     except MeshError as error:
-        raise MeshError(f"{geometry.path.name}: {error}", error.key) from error
+        told = str(error).removeprefix(f"{geometry.path.name}: ")  # as of one whose bytes cannot be read
+        raise MeshError(f"{geometry.path.name}: {told}", error.key) from error
 
 
 def centred(points: Array, size: float) -> Array:

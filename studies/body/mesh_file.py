@@ -109,9 +109,8 @@ def read_tetrahedra(path: Path) -> tuple[Array, Index, dict[str, Mask]]:
 def read_point_fields(path: Path) -> tuple[Array, dict[str, Array]]:
     """Points (n, 3) of a VTU or legacy VTK file, and what it tells of each as a vector: name -> (n, 3).
 
-    Raises MeshError for a missing, unreadable or damaged file; its cells do not matter.
+    Raises MeshError for an unreadable or damaged file; its cells do not matter.
     """
-    check_readable(path)
     grid = _vtk(path)
     points, data = _vtk_points(grid), grid.GetPointData()
     arrays = [data.GetArray(k) for k in range(data.GetNumberOfArrays())]
@@ -246,18 +245,3 @@ def write_body_msh(path: Path, mesh: Mesh, parts: Mapping[str, Mask]) -> None:
     )
     meshio.gmsh.write(str(path), made, fmt_version="2.2", binary=False)
     require_end(path, b"$EndElements")
-
-
-def check_readable(path: Path) -> None:
-    """Raise MeshError for a file that is missing, empty, a directory, or closed to this user."""
-    if not path.exists():
-        raise MeshError("no such file")
-    if not path.is_file():
-        raise MeshError("is not a file")
-    try:
-        with path.open("rb") as file:
-            head = file.read(1)
-    except OSError as error:
-        raise MeshError(f"cannot be read ({error.strerror})") from error
-    if not head:
-        raise MeshError("is empty")

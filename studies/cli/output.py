@@ -100,13 +100,9 @@ def print_table(rows: Sequence[dict[str, str]]) -> None:
             print(row[first])
             print(folded("; ".join(f"{column}: {row[column]}" for column in others if row[column]), "  "))
         return
-    print("  ".join(column.ljust(width) for column, width in zip(columns, widths, strict=True)).rstrip())
-    for row in rows:
-        print(
-            "  ".join(
-                row[column].ljust(width) for column, width in zip(columns, widths, strict=True)
-            ).rstrip()
-        )
+    for row in ({column: column for column in columns}, *rows):
+        cells = (row[column].ljust(width) for column, width in zip(columns, widths, strict=True))
+        print("  ".join(cells).rstrip())
 
 
 def tell(text: str) -> None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 def run_benchmark(options: argparse.Namespace) -> int:
     """Measure the study, or a sphere, an organ and the surface that is given, with every model."""
     from .. import bench
-    from ..models import benched_names
+    from ..models import model_names
 
     studies = {
         body: load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))
@@ -46,7 +46,7 @@ def run_benchmark(options: argparse.Namespace) -> int:
     found = bench.measure(
         studies,
         vars(options).get("cache") or cache_directory(),
-        names=None if options.study else benched_names(),
+        names=None if options.study else model_names(benched=True),
         watch=tell,
     )
     bench.write_bench(out / "bench.json", found)

@@ -4,7 +4,6 @@ from ..scene.result import REFUSED
 from ..study.registry import (
     Parameter,
     all_models,
-    benched_names,
     model_names,
     reads,
     superposes,
@@ -21,7 +20,6 @@ __all__ = [
     "RegistrationError",
     "SetUp",
     "all_models",
-    "benched_names",
     "find",
     "model_names",
     "reads",

@@ -197,21 +197,13 @@ def all_models() -> dict[str, Declared]:
     return MODELS
 
 
-def model_names() -> list[str]:
-    """Every name that a study can write, with and without solver."""
+def model_names(*, benched: bool = False) -> list[str]:
+    """Every name that a study can write, with and without solver; of those the ones that a benchmark measures."""
     return [
         name
         for model in all_models().values()
-        for name in (model.name, *(f"{model.name}:{solver}" for solver in model.solvers))
-    ]
-
-
-def benched_names() -> list[str]:
-    """Every model that a benchmark measures, with its default solver and the others that it declares."""
-    return [
-        name
-        for model in all_models().values()
-        for name in (model.name, *(f"{model.name}:{solver}" for solver in model.benched))
+        for solvers in (model.benched if benched else model.solvers,)
+        for name in (model.name, *(f"{model.name}:{solver}" for solver in solvers))
     ]
 
 

@@ -137,14 +137,11 @@ def test_the_size_of_a_mesh_is_known_before_it_is_made(tmp_path: Path, ball: Mes
 
 @pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".vtp", ".msh", ".vtu", ".vtk"])
 def test_missing_empty_and_foreign_files(tmp_path: Path, suffix: str) -> None:
-    refused(tmp_path / f"missing{suffix}", "no such file")
+    refused(tmp_path / f"missing{suffix}", "No such file")
     directory = tmp_path / f"directory{suffix}"
     directory.mkdir()
-    refused(directory, "not a file")
-    empty = tmp_path / f"empty{suffix}"
-    empty.touch()
-    refused(empty, "is empty")
-    for content in (b"\x00\xff" * 300, b"<html>no</html>\n", b"1 2 3\n" * 50):
+    refused(directory, "Is a directory")
+    for content in (b"", b"\x00\xff" * 300, b"<html>no</html>\n", b"1 2 3\n" * 50):
         foreign = tmp_path / f"foreign{suffix}"
         foreign.write_bytes(content)
         refused(foreign, "cannot be read|is not a|has no|holds no|header|three coordinates|cannot be read")

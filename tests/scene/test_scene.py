@@ -189,8 +189,9 @@ def test_smooth_profiles_have_their_exact_resultant(profile: str, mean: float) -
         assert_allclose(scene.contact_force.sum(axis=0)[:2], 0.0, atol=1e-12, rtol=0)
 
 
-@pytest.mark.parametrize("profile", ["hertz", "gaussian"])
-@pytest.mark.parametrize("angle", [0.6, 0.12])  # over many facets; over less than two
+@pytest.mark.parametrize(
+    ("profile", "angle"), [("hertz", 0.6), ("gaussian", 0.12)]
+)  # many facets; less than two
 def test_a_profile_has_one_resultant_on_every_mesh_level(sphere: Mesh, profile: str, angle: float) -> None:
     """Force, and moment with linear and quadratic shape functions: what models get is the same on each level."""
     regions = BASE["regions"] | {"finger": {"cap": {"direction": [0.3, 0.0, 1.0], "angle": angle}}}
@@ -259,92 +260,49 @@ def test_environment_pressure_moves_the_datum_only(sphere: Mesh) -> None:
     assert_allclose(b.fluid_pressure - a.fluid_pressure, 101325.0, rtol=1e-12, atol=0)
 
 
+FIXED = BASE["constraints"][0]
+TOOL = {"kind": "constrained", "region": "base", "displacement": [0, 0, 0.001]}
+ON_BASE = {"kind": "contact", "region": "base", "name": "on", "pressure": 1.0}
+FINGER, UNITS = ("regions", "finger"), "a mixed-up unit"
+
+
+def finger(**region: Any) -> dict[str, Any]:
+    return {"regions": BASE["regions"] | {"finger": region}}
+
+
 @pytest.mark.parametrize(
-    ("tables", "message"),
+    ("tables", "message", "place"),
     [
         (
-            {"regions": BASE["regions"] | {"finger": {"above": {"axis": "z", "value": 0.06}}}},
+            finger(above={"axis": "z", "value": 0.06}),
             r"selects no node of the mesh: the body has x from -0.05 to 0.0495, "
             r"y from -0.0497 to 0.05, z from -0.05 to 0.05 m; a mixed-up unit\? A bare number is in metres",
+            FINGER,
         ),
-        *(
-            ({"regions": BASE["regions"] | {"finger": finger}}, words)
-            for words, fingers in {
-                "a mixed-up unit": (
-                    {"below": {"axis": "x", "value": -19.0}},
-                    {"ball": {"center": [0.0, 0.0, 20.0], "radius": 0.01}},
-                    {"box": {"min": [-30.0, -1.0, -1.0], "max": [-20.0, 1.0, 1.0]}},
-                ),
-                "enlarge it": (
-                    {"ball": {"center": [0.05, 0.05, 0.05], "radius": 0.01}},
-                    {"box": {"min": [-0.01] * 3, "max": [0.01] * 3}},
-                ),
-            }.items()
-            for finger in fingers
-        ),
-        ({"regions": BASE["regions"] | {"finger": {"cap": {"direction": [0, 0, 1], "angle": 0.02}}}}, "no "),
+        (finger(below={"axis": "x", "value": -19.0}), UNITS, FINGER),
+        (finger(ball={"center": [0.0, 0.0, 20.0], "radius": 0.01}), UNITS, FINGER),
+        (finger(box={"min": [-30.0, -1.0, -1.0], "max": [-20.0, 1.0, 1.0]}), UNITS, FINGER),
+        (finger(ball={"center": [0.05, 0.05, 0.05], "radius": 0.01}), "enlarge it", FINGER),
+        (finger(box={"min": [-0.01] * 3, "max": [0.01] * 3}), "enlarge it", FINGER),
+        (finger(cap={"direction": [0, 0, 1], "angle": 0.02}), "no node|no facet", None),
+        (finger(above={"axis": "z", "fraction": 0.1}), "fixed or constrained", ("constraints", 1)),
         (
-            {"regions": BASE["regions"] | {"finger": {"above": {"axis": "z", "fraction": 0.1}}}},
-            "fixed or constrained",
-        ),
-        (
-            {
-                "constraints": [
-                    BASE["constraints"][0],
-                    {"kind": "constrained", "region": "base", "name": "tool", "displacement": [0, 0, 0.001]},
-                ]
-            },
+            {"constraints": [TOOL | {"name": "tool"}, FIXED]},
             "'tool' moves .* nodes that are fixed; keep the regions apart",
+            ("constraints", 0),
         ),
         (
-            {
-                "constraints": [
-                    {"kind": "constrained", "region": "base", "displacement": [0, 0, 0.001]},
-                    {"kind": "constrained", "region": "base", "name": "b", "displacement": [0, 0, 0.002]},
-                ]
-            },
+            {"constraints": [TOOL, TOOL | {"name": "b", "displacement": [0, 0, 2e-3]}, TOOL | {"name": "c"}]},
             "differently",
-        ),
-    ],
-)
-def test_scenes_that_make_no_sense(sphere: Mesh, tables: dict[str, Any], message: str) -> None:
-    with pytest.raises(SceneError, match=message):
-        build_scene(study(**tables), sphere)
-
-
-HELD, TOOL = BASE["constraints"][0], {"kind": "constrained", "region": "base", "displacement": [0, 0, 0.001]}
-NOWHERE = {"above": {"axis": "z", "value": 0.06}}
-
-
-@pytest.mark.parametrize(
-    ("tables", "place"),
-    [
-        ({"regions": BASE["regions"] | {"finger": NOWHERE}}, ("regions", "finger")),
-        ({"constraints": [TOOL | {"name": "tool"}, HELD]}, ("constraints", 0)),
-        (
-            {
-                "constraints": [
-                    TOOL,
-                    TOOL | {"name": "b", "displacement": [0, 0, 0.002]},
-                    TOOL | {"name": "c"},
-                ]
-            },
             ("constraints", 1),
         ),
-        (
-            {
-                "constraints": [
-                    HELD,
-                    {"kind": "contact", "region": "base", "name": "on", "pressure": 1.0},
-                    HELD | {"name": "on"},
-                ]
-            },
-            ("constraints", 1),
-        ),
+        ({"constraints": [FIXED, ON_BASE, FIXED | {"name": "on"}]}, "fixed", ("constraints", 1)),
     ],
 )
-def test_a_scene_that_makes_no_sense_says_where(sphere: Mesh, tables: dict[str, Any], place: Loc) -> None:
+def test_a_scene_that_makes_no_sense_is_told_with_its_place(
+    sphere: Mesh, tables: dict[str, Any], message: str, place: Loc | None
+) -> None:
     """Words alone would lead elsewhere: other constraints have the same region or name."""
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(SceneError, match=message) as caught:
         build_scene(study(**tables), sphere)
-    assert caught.value.place == place
+    assert place in (None, caught.value.place)

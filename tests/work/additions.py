@@ -12,7 +12,7 @@ import pytest
 from tests.command import SMALL_STUDY, vdmbench
 from vdmbench import bench
 from vdmbench.measures.case import CaseResult
-from vdmbench.models import benched_names
+from vdmbench.models import model_names
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.fields import field_table
@@ -70,7 +70,7 @@ def error_in_benchmark(text: str) -> float:
 
 def test_a_model_of_another_package() -> None:
     assert "gain" in json.loads(command("list", "--models", "--json"))["springs"]
-    assert [*benched_names()].count("springs") == 1
+    assert model_names(benched=True).count("springs") == 1
     gains = SPRINGS + '[sweep]\n"models.springs.gain" = [1.0, 2.0, 4.0]\n'
     plan = planned(gains)
     assert len(plan["cases"]) == 3
