@@ -99,9 +99,10 @@ def frame(run: Run) -> DataFrame:
     for case in run.cases:
         for name, result in case.models.items():
             measured, n_steps = case.metrics.get(name, {}), len(case.load_factors)
+            known = case.reference_error and n_steps  # without levels no bar is
             at = (case.full_load, case.reached) if n_steps else (0, 0)
             for metric, one in measured.items():
-                bar = value_bar(case, name, metric) if metric in METRICS and n_steps else np.nan
+                bar = value_bar(case, name, metric) if metric in METRICS and known else np.nan
                 series.append((len(about), metric, one.unit, bar, *at))
                 values.append(one.values)
             for cost, unit in COSTS.items():

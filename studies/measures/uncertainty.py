@@ -32,6 +32,11 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from solver_common.arrays import Array
 
 VERSION = 2  # of these rules, one more where a bar changes
 FORMAL_ORDER = 2.0
@@ -68,12 +73,12 @@ class ErrorEstimate:
         return self.behaviour == CONVERGING
 
 
-def is_resolved(discrepancy: float, bar: float) -> bool:
-    """Whether a discrepancy stands out from the error bar of what it is measured against.
+def is_resolved(discrepancy: float | Array, bar: float | Array) -> Any:
+    """Whether discrepancies stand out from the error bars of what they are measured against, numbers or arrays.
 
     The one definition that tables, verdicts, limits and gates use. False where either is not finite.
     """
-    return math.isfinite(bar) and math.isfinite(discrepancy) and bar <= RESOLUTION * abs(discrepancy)
+    return np.isfinite(bar) & np.isfinite(discrepancy) & (bar <= RESOLUTION * np.abs(discrepancy))
 
 
 def reference_bar(reference_error: Mapping[str, float], metric: str) -> float:

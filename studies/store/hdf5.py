@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from h5py import h5, h5a, h5d, h5ds, h5f, h5g, h5l, h5o, h5p, h5s, h5t, string_dtype
+from h5py import h5, h5a, h5d, h5ds, h5f, h5g, h5o, h5p, h5s, h5t, string_dtype
 from numpy.typing import NDArray
 
 MAX_BYTES = 2 << 30  # of the results of a case
@@ -137,10 +137,7 @@ def _in_memory(image: bytes = b"") -> Any:
 
 
 class Stored:
-    """A sealed file, open for reading. What is read of it is no link and stored in it: those could lead elsewhere.
-
-    A name that it lacks is a KeyError.
-    """
+    """A sealed file, open for reading. A name that it lacks is a KeyError."""
 
     def __init__(self, path: Path, schema: int) -> None:
         """Open a file of this schema.
@@ -177,23 +174,13 @@ class Stored:
         self._file.close()
 
     def _object(self, path: str) -> Any:
-        """A group or an array. Raises KeyError where there is none, ValueError for what would lead elsewhere."""
-        found = self._objects.get(path)
-        if found is None:
-            group, _, name = path.rpartition("/")
-            owner = self._object(group) if group else self._file
+        """A group or an array. Raises KeyError where there is none."""
+        if path not in self._objects:
             try:
-                kind = owner.links.get_info(name.encode()).type
-            except (AttributeError, RuntimeError):  # no group, or none of its members
+                self._objects[path] = h5o.open(self._file, path.encode())
+            except (KeyError, RuntimeError):
                 raise KeyError(path) from None
-            if kind != h5l.TYPE_HARD:
-                raise ValueError(f"holds a link (/{path}), which a result file never does")
-            found = self._objects[path] = h5o.open(owner, name.encode())
-            if isinstance(found, h5d.DatasetID):
-                made = found.get_create_plist()
-                if made.get_external_count() or made.get_layout() == h5d.VIRTUAL:
-                    raise ValueError(f"holds an array (/{path}) that is stored outside the file")
-        return found
+        return self._objects[path]
 
     def members(self, path: str) -> list[str]:
         """Names of what a group holds, in the order in which it was written."""

@@ -17,7 +17,7 @@ from ..body.surface_measures import Surface
 from ..machine import processor_name
 from ..measures import uncertainty
 from ..measures.case import CaseResult, Run
-from ..measures.frame import frame, reference_bar
+from ..measures.frame import frame
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED, motion_share
@@ -89,7 +89,7 @@ def spread_of(values: Array, bars: Array) -> Spread | None:
         best=float(values[np.argmin(sizes)]),
         cases=len(values),
         measured=int(np.isfinite(bars).sum()),
-        resolved=sum(map(uncertainty.is_resolved, values.tolist(), bars.tolist())),
+        resolved=int(uncertainty.is_resolved(values, bars).sum()),
     )
 
 
@@ -189,7 +189,15 @@ class Digest:
 
     def bars(self, metric: str) -> Array:
         """(C,) the reference's own part in a metric of every case; NaN where there is none."""
-        return np.array([reference_bar(case, metric) for case in self.cases])
+        key = f"gci:{metric}"
+        return self._own_errors.get(key, np.full(len(self.cases), math.nan))
+
+    @cached_property
+    def _own_errors(self) -> dict[str, Array]:
+        keys = {key for case in self.cases for key in case.reference_error}
+        return {
+            key: np.array([case.reference_error.get(key, math.nan) for case in self.cases]) for key in keys
+        }
 
     def spread(self, model: str, metric: str) -> Spread | None:
         """A metric of a model at full load over all cases; None where none has it."""
@@ -501,13 +509,13 @@ class Digest:
 
     def _marks(self, name: str) -> tuple[str, ...]:
         """What is said of a model's times: nothing where all were measured in turns with the others, here."""
-        found = set()
+        found, here = set(), ("", processor_name())
         for case in (case for case in self.cases if name in case.models):
             about, frames = case.models[name].parameters, case.models[name].frames
             machine = about.get("measured_on", case.provenance.get("processor", ""))
             machine = frames.processor if frames is not None else machine
             found |= {ONCE} if frames is None else set()
-            found |= {ELSEWHERE} if machine not in ("", processor_name()) else set()
+            found |= {ELSEWHERE} if machine not in here else set()
         return tuple(mark for mark in (ELSEWHERE, ONCE) if mark in found)
 
 

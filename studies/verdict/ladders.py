@@ -184,7 +184,9 @@ def _second_order(case: CaseResult, model: str) -> float:
 
 def _left(case: CaseResult, result: ModelResult) -> float:
     factors, u = case.load_factors, result.displacement
-    largest = _largest(np.linalg.norm(u, axis=2).max(axis=1)) if len(u) else math.nan
-    if len(factors) < 2 or factors[-1] != 0.0 or not np.any(factors) or not largest > 0.0:
+    if len(factors) < 2 or factors[-1] != 0.0 or not np.any(factors):
+        return math.nan
+    largest = _largest(np.linalg.norm(u, axis=2).max(axis=1))
+    if not largest > 0.0:
         return math.nan
     return float(np.linalg.norm(u[-1], axis=1).max()) / largest

@@ -152,17 +152,6 @@ def _replace(file: h5py.File, path: str, values: np.ndarray) -> None:
     file[path] = values
 
 
-def _in_place(file: h5py.File, path: str, link: Any) -> None:
-    del file[path]
-    file[path] = link
-
-
-def _stored_outside(file: h5py.File, path: str) -> None:
-    shape = file[path].shape
-    del file[path]
-    file.create_dataset(path, shape, "f8", external=[("/etc/hostname", 0, h5py.h5f.UNLIMITED)])
-
-
 def _edit_about(file: h5py.File, **changes: Any) -> None:
     text = json.dumps(json.loads(file["case/about"][()]) | changes)
     file["case/about"][()] = text
@@ -198,9 +187,6 @@ def test_a_case_of_an_older_program_is_made_anew(tmp_path: Path) -> None:
     ("edit", "message"),
     [
         (lambda f: f["case"].attrs.__setitem__("schema", 99), "newer"),
-        (lambda f: _in_place(f, "case/about", h5py.ExternalLink("/etc/hosts", "x")), "link"),
-        (lambda f: _in_place(f, "steps", h5py.SoftLink("/VTKHDF/Points")), "link"),
-        (lambda f: _stored_outside(f, "VTKHDF/Points"), "outside"),
         (lambda f: f["case"].attrs.__setitem__("schema", 1), "older"),
         (lambda f: f["case"].attrs.__delitem__("schema"), "no schema"),
         (lambda f: f["case"].attrs.__setitem__("schema", "two"), "no schema"),
