@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import gc
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import vdmbench
@@ -40,6 +43,36 @@ def _own_signals() -> Iterator[None]:
     """Where a test calls the command in this process."""
     with own_signals():
         yield
+
+
+STIFFNESSES: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray | None]] = {}
+MOST = 6  # bodies that are kept, the last that were asked for: 20 MB each
+
+
+@pytest.fixture(autouse=True)
+def _integrated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The integrals over a body's facets, which many tests ask for, are made once for each body."""
+    operators = sys.modules.get("vdm.boundary.operators")  # a second of imports, which few need
+    if operators is None:
+        return
+    made = operators.surface_stiffness
+
+    def known(facets: Any, nu: float, dtype: Any = None, rims: Any = None) -> np.ndarray:
+        parts = [facets.points, facets.triangles, facets.numbers]
+        parts += [rims.body.points, rims.body.triangles] if rims else []
+        dtype = dtype or operators.precision(len(facets.points))
+        key = (*(part.tobytes() for part in parts), nu, dtype)
+        if key not in STIFFNESSES:
+            whole = made(facets, nu, dtype, rims)
+            STIFFNESSES[key] = whole, rims.follows.copy() if rims else None
+        found, follows = STIFFNESSES[key] = STIFFNESSES.pop(key)
+        if len(STIFFNESSES) > MOST:
+            del STIFFNESSES[next(iter(STIFFNESSES))]
+        if rims:
+            rims.follows[:] = follows
+        return found.copy()
+
+    monkeypatch.setattr(operators, "surface_stiffness", known)
 
 
 @pytest.fixture

@@ -64,15 +64,22 @@ BEHIND = {
 
 
 @cache
+def _nodes(path: Path, *, types: bool = True) -> list[ast.AST]:
+    """All of a file: whatever runs, and what is for `types` alone too."""
+    nodes = list(ast.walk(ast.parse(path.read_text())))
+    checked = [
+        node for node in nodes if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    ]
+    told = {inner for node in checked for part in node.body for inner in ast.walk(part)}
+    return nodes if types else [node for node in nodes if node not in told]
+
+
+@cache
 def _imports(path: Path, *, types: bool = False) -> frozenset[str]:
     """Absolute dotted names of all that a file imports, wherever in the file: when it runs, or for `types` too."""
     package = ("vdmbench", *path.relative_to(ROOT).parent.parts[1:])
     names = set()
-    tree = ast.parse(path.read_text())
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING" and not types:
-            node.body = []
-    for node in ast.walk(tree):
+    for node in _nodes(path, types=types):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -193,7 +200,7 @@ def test_only_the_command_line_exits() -> None:
 def test_nothing_that_runs_what_it_reads() -> None:
     for path in FILES:
         assert not _tops(path) & {"pickle", "marshal", "shelve", "yaml", "dill"}, path
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in _nodes(path):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 assert node.func.id not in {"eval", "exec", "__import__"}, f"{path}, line {node.lineno}"
 

@@ -98,7 +98,9 @@ def test_no_answer_depends_on_the_place_of_the_body(tmp_path: Path, ball: Mesh) 
             key: given.model_dump(by_alias=True, exclude_none=True)[key] for key in ("geometry", "regions")
         }
         tables["constraints"] = [part.model_dump(exclude_none=True) for part in given.constraints]
-        answers.append(run(plan_of(where / "run", where / "cache", study=study, sweep={}, **tables))[0])
+        answers.append(
+            run(plan_of(where / "run", where / "cache", study=study, sweep={}, uncertainty=None, **tables))[0]
+        )
     near, far = answers
     assert_allclose(far.points, near.points + PLACE, rtol=0, atol=1e-12)
     scan = meshio.read(next(tmp_path.glob("-*/scan.vtu"))).points

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from tests.command import SMALL_STUDY, vdmbench
-from vdmbench import bench
 from vdmbench.measures.case import CaseResult
 from vdmbench.models import model_names
 from vdmbench.store.cases import read_run
@@ -56,16 +55,6 @@ def assert_told(mistakes: dict[str, str]) -> None:
         Path("mistake.toml").write_text(text)
         told = vdmbench("check", "mistake.toml", cwd=Path.cwd()).stderr
         assert any(said in line and "mistake.toml" in line for line in told.splitlines()), told
-
-
-def error_in_benchmark(text: str) -> float:
-    """Relative error of the study's only model beside the refined reference, as `vdmbench bench` has it."""
-    Path("study.toml").write_text(text)
-    study = load_study(Path("study.toml"))
-    (entry,) = bench.measure({"it": study}, Path("cache"), sizes=(1.0,), rounds=1, watch=str).entries
-    assert entry.status == "converged"
-    assert entry.frame_all[0] * entry.frame_local[0] > 0.0
-    return entry.error
 
 
 def test_a_model_of_another_package() -> None:
@@ -174,7 +163,6 @@ def test_a_kind_of_load() -> None:
     assert once == pytest.approx(weight, rel=1e-9), "of the liquid above its facets"
     assert twice == pytest.approx(2.0 * once, rel=1e-9)
     assert "hydrostatic" in page.lower()
-    assert error_in_benchmark(liquid) < 0.1, "under the same load as its reference"
     assert_told(
         {
             liquid.replace(gradient, ""): "gradient: is missing",
