@@ -63,8 +63,7 @@ def build_mesh(geometry: Geometry, *, volume: bool = True) -> Mesh:
     started = time.perf_counter()
     if isinstance(geometry, FileBody):
         with named(geometry):
-            build = _tetrahedra_of_file if geometry.has_own_tetrahedra else _fill_surface_of_file
-            mesh = build(geometry, volume)
+            mesh = _of_file(geometry, volume)
     else:
         assert isinstance(geometry, Shape)
         check_mesh_size(geometry.mesh_size, min(geometry.extents()))
@@ -103,15 +102,13 @@ def _of_sphere(geometry: SphereImage, volume: bool) -> Mesh:
     return replace(fill_surface(points, triangles, geometry.mesh_size, volume), moved=None)
 
 
-def _fill_surface_of_file(geometry: FileBody, volume: bool) -> Mesh:
+def _of_file(geometry: FileBody, volume: bool) -> Mesh:
+    if geometry.has_own_tetrahedra:
+        mesh = imported_tetrahedra(geometry)
+        return mesh if volume else surface_only(mesh)
     given = imported_surface(geometry, volume=volume)
     mesh = fill_surface(given.points, given.triangles, geometry.mesh_size or 0.0, volume)
     return placed(replace(mesh, quality={**mesh.quality, **given.repairs}), given.centre)
-
-
-def _tetrahedra_of_file(geometry: FileBody, volume: bool) -> Mesh:
-    mesh = imported_tetrahedra(geometry)
-    return mesh if volume else surface_only(mesh)
 
 
 def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool = True) -> Mesh:

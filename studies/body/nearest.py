@@ -21,7 +21,8 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
     facet, nearest = _found(queries, points, triangles)
     corners = points[triangles[facet]]
     u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], nearest - corners[:, 0]
-    uu, uv, vv, wu, wv = (_dot(a, b) for a, b in ((u, u), (u, v), (v, v), (w, u), (w, v)))
+    pairs = (u, u), (u, v), (v, v), (w, u), (w, v)
+    uu, uv, vv, wu, wv = (np.einsum("qi,qi->q", a, b) for a, b in pairs)
     square = uu * vv - uv**2  # of twice the area
     s, t = (wu * vv - wv * uv) / square, (wv * uu - wu * uv) / square
     return np.linalg.norm(nearest - queries, axis=1), facet, np.stack([1.0 - s - t, s, t], axis=1)
@@ -42,10 +43,6 @@ def distances_and_farthest(points: Array, other: Array, triangles: Index) -> tup
     if doubtful.any():
         farthest = max(farthest, float(_distances(other[doubtful], points, triangles).max()))
     return there, farthest
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.einsum("qi,qi->q", a, b))
 
 
 def _distances(queries: Array, points: Array, triangles: Index) -> Array:

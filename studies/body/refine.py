@@ -14,7 +14,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from .mesh import Mesh
-from .topology import half_edges
+from .topology import half_edges, tetrahedron_volumes
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,10 @@ class Hierarchy:
     def restrict(self, force: Array) -> Array:
         """(S, N, 3) nodal forces on the finest mesh -> (S, n, 3) on the coarsest: half of each to either parent."""
         for parents in reversed(self.parents):
-            force = _to_parents(force, parents)
+            coarser = np.zeros((int(parents.max()) + 1, len(force), force.shape[2]))
+            for end in parents.T:  # of an old node both are itself
+                np.add.at(coarser, end, 0.5 * force.swapaxes(0, 1))
+            force = coarser.swapaxes(0, 1)
         return force
 
 
@@ -74,8 +77,12 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
     """
     # edges of the body may join two surface nodes through the inside: only those of facets lie on the surface
     pairs, number = np.unique(np.sort(half_edges(mesh.triangles), axis=1), axis=0, return_inverse=True)
-    split = _split_inside if len(mesh.tetrahedra) else _split_surface
-    points, tetrahedra, middles = split(mesh, mesh.surface_nodes[pairs])
+    ends = mesh.surface_nodes[pairs]
+    if len(mesh.tetrahedra):
+        points, tetrahedra, middles = _split_inside(mesh, ends)
+    else:
+        points, tetrahedra = np.concatenate([mesh.points, mesh.points[ends].mean(axis=1)]), mesh.tetrahedra
+        middles = len(mesh.points) + np.arange(len(ends))
     order = np.argsort(middles)
     pairs, middles = pairs[order], middles[order]
 
@@ -101,8 +108,7 @@ def _split_inside(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:
     fine = coarse.refined()
     # the halves of a tetrahedron come with either orientation
     tetrahedra = fine.t.T.astype(np.int64)
-    a, b, c, d = (fine.p.T[tetrahedra[:, k]] for k in range(4))
-    inverted = np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) < 0
+    inverted = tetrahedron_volumes(fine.p.T, tetrahedra) < 0
     tetrahedra[inverted, :2] = tetrahedra[inverted, 1::-1]
     # node n + e halves edge e
     edge_of = {tuple(sorted(pair)): edge for edge, pair in enumerate(coarse.edges.T.tolist())}
@@ -125,12 +131,6 @@ def _split_of(mesh: Mesh, finer: Mesh) -> Index:
     return np.asarray(place[number[len(place) :]])
 
 
-def _split_surface(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:
-    """The same where there is no inside."""
-    points = np.concatenate([mesh.points, mesh.points[pairs].mean(axis=1)])
-    return points, mesh.tetrahedra, len(mesh.points) + np.arange(len(pairs))
-
-
 def inherit(mask: Mask, mesh: Mesh, parents: Index) -> Mask:
     """A region's nodes on the refined mesh: its old nodes, and the middles of the edges of its facets.
 
@@ -146,11 +146,3 @@ def inherit(mask: Mask, mesh: Mesh, parents: Index) -> Mask:
     first, second = parents.T  # the lower number first, as in a sorted facet
     middle = np.isin(first * n_nodes + second, edges[:, 0] * n_nodes + edges[:, 1])
     return np.where(first == second, mask[first], middle)
-
-
-def _to_parents(values: Array, parents: Index) -> Array:
-    """(S, N, 3) nodal forces -> (S, n, 3): half of each to either parent, which for an old node is itself."""
-    out = np.zeros((int(parents.max()) + 1, len(values), values.shape[2]))
-    for end in parents.T:
-        np.add.at(out, end, 0.5 * values.swapaxes(0, 1))
-    return out.swapaxes(0, 1)

@@ -13,7 +13,7 @@ from solver_common.arrays import Array, Index
 
 from ..study.errors import MeshError
 from .surface_measures import facet_areas
-from .topology import consistent_orientation
+from .topology import canonical_triangles, consistent_orientation
 
 # Edges of the sampled surface are at most mesh_size / 2.5: about 17 points for each node of the new surface.
 # Fewer leave uneven triangles, more only take longer.
@@ -48,12 +48,15 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
             points, triangles, longest_edge, max_points=max(_MOST_SAMPLES * n_nodes, 4 * len(points))
         )
         clusters, weights = _clustered(polydata(samples, sample_triangles), n_nodes)
-        facets = _cluster_facets(clusters[sample_triangles])
+        corners = clusters[sample_triangles]
+        a, b, c = corners.T
+        # a triangle for each triple of clusters that meets in a sample triangle
+        facets = np.unique(canonical_triangles(corners[(a != b) & (b != c) & (c != a)]), axis=0)
         try:
             if len(np.unique(facets)) != n_nodes:
                 raise MeshError("some nodes have no facet")
-            nodes = _cluster_nodes(samples, clusters, weights)
-            nodes = _closest(imported, nodes)
+            middles = [np.bincount(clusters, weights * x) / np.bincount(clusters, weights) for x in samples.T]
+            nodes = _closest(imported, np.stack(middles, axis=1))
             facets, _ = consistent_orientation(nodes, facets)
         except MeshError as error:
             complaint = str(error)
@@ -157,20 +160,6 @@ def _clustered(samples: pv.PolyData, n_clusters: int) -> tuple[Index, Array]:
         clustering = pyacvd.Clustering(samples)
         clusters = clustering.cluster(n_clusters)
     return clusters.astype(np.int64), np.asarray(clustering.area)
-
-
-def _cluster_nodes(samples: Array, clusters: Index, weights: Array) -> Array:
-    """Centroid of each cluster."""
-    total = np.bincount(clusters, weights)
-    return np.stack([np.bincount(clusters, weights * samples[:, k]) / total for k in range(3)], axis=1)
-
-
-def _cluster_facets(corners: Index) -> Index:
-    """Triangles between clusters: one for each triple of clusters that meets in a sample triangle."""
-    a, b, c = corners.T
-    corners = corners[(a != b) & (b != c) & (c != a)]
-    start = np.argmin(corners, axis=1)
-    return np.unique(np.take_along_axis(corners, (start[:, None] + np.arange(3)) % 3, axis=1), axis=0)
 
 
 def polydata(points: Array, triangles: Index, fields: Mapping[str, Array] | None = None) -> pv.PolyData:

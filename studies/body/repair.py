@@ -50,6 +50,8 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:
     Raises MeshError for coordinates that are not finite, no facets, facets that name points that do not
     exist, and what remains open, not manifold, one-sided, in pieces beside each other, or without an inside.
     """
+    from scipy.spatial import KDTree  # slow to load: only where a file is read
+
     check_finite(points)
     if len(triangles) == 0:
         raise MeshError("holds no facets; give the closed surface of a solid")
@@ -59,7 +61,8 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:
     extent = float(np.ptp(points[used], axis=0).max())
     if extent == 0.0:
         raise MeshError("all points are the same; the file is damaged")
-    target = _merge_targets(points[used], _SAME_POINT * extent)
+    close = KDTree(points[used]).query_pairs(_SAME_POINT * extent, output_type="ndarray")
+    target = pieces(len(used), close[:, 0], close[:, 1])  # of points at one place the first
     renumbered = np.full(len(points), -1)
     renumbered[used] = target
     faces = _without_repeats(renumbered[triangles])
@@ -119,14 +122,6 @@ def _largest_piece(points: Array, faces: Index) -> Index:
     area = np.bincount(piece.ravel(), weights=facet_areas(points, faces), minlength=len(names))
     largest: Index = faces[piece.ravel() == area.argmax()]
     return largest
-
-
-def _merge_targets(points: Array, tolerance: float) -> Index:
-    """For each point the first of those that lie within `tolerance` of each other."""
-    from scipy.spatial import KDTree  # slow to load: only where a file is read
-
-    pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
-    return pieces(len(points), pairs[:, 0], pairs[:, 1])
 
 
 def _without_repeats(faces: Index) -> Index:

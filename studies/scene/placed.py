@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -66,7 +65,8 @@ class PlacedConstraint:
         A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated
         over the facets (`vdmbench.scene.placed`): its resultant hangs neither on mesh level nor on model.
         """
-        shape = self._remembered(profile, lambda: self._shape(profile))
+        asked = ("pressure", profile, self.region.model_dump_json(), self.nodes.tobytes())
+        shape = self.mesh.remembered(asked, lambda: self._shape(profile))
         if not shape.any():
             raise self._error("loads no facet; enlarge its region or take a smaller mesh_size")
         return shape
@@ -113,10 +113,6 @@ class PlacedConstraint:
             inside = np.all(self.nodes[self.triangles], axis=1)
             return np.repeat(inside[:, None].astype(float), len(weights), axis=1)
         return on_facets(str(profile), self.region, self.mesh, (barycentric, weights))
-
-    def _remembered(self, profile: str | None, work: Callable[[], Array]) -> Array:
-        asked = ("pressure", profile, self.region.model_dump_json(), self.nodes.tobytes())
-        return self.mesh.remembered(asked, work)
 
     def _error(self, text: str) -> SceneError:
         return SceneError(f"{self.constraint.kind} {self.constraint.name!r} {text}", self.place)

@@ -139,7 +139,10 @@ class Scene:
 
     @cached_property
     def _facets(self) -> tuple[Array, Array, Array]:
-        return _facet_measures(self.mesh)
+        """(F, 3) unit normals and (F,) areas of the facets, (N,) nodal areas A_i [m^2]."""
+        vectors = facet_area_vectors(self.mesh.surface_points, self.mesh.triangles)
+        areas = np.linalg.norm(vectors, axis=1)
+        return vectors / areas[:, None], areas, nodal_sum(areas, self.mesh.triangles, len(self.fixed))
 
     @cached_property
     def contact_force(self) -> Array:
@@ -301,10 +304,3 @@ def _check_apart(
         if covered:
             place = ("constraints", number)
             raise SceneError(f"{part.kind} {part.name!r} {told}; keep the regions apart", place)
-
-
-def _facet_measures(mesh: Mesh) -> tuple[Array, Array, Array]:
-    """(F, 3) unit normals and (F,) areas of the facets, (N,) nodal areas A_i [m^2]."""
-    vectors = facet_area_vectors(mesh.surface_points, mesh.triangles)
-    areas = np.linalg.norm(vectors, axis=1)
-    return vectors / areas[:, None], areas, nodal_sum(areas, mesh.triangles, len(mesh.surface_points))

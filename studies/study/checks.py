@@ -324,7 +324,14 @@ def _check_coordinates(study: Study) -> Iterator[Finding]:
     """
     if study.geometry.shape != "file" or study.geometry.coordinates is not None:
         return
-    names = [f"region {shown(name)}" for name, part in study.regions.items() if _has_coordinates(part)]
+    names = [
+        f"region {shown(name)}"
+        for name, region in study.regions.items()
+        for _, part in _inside(region, ())
+        if part.ball
+        or part.box
+        or any(plane and plane.value is not None for plane in (part.below, part.above))
+    ]
     names += [f"inclusion {shown(part.name)}" for part in study.inclusions or () if part.ball or part.box]
     names += [f"measured table {shown(table.name)}" for table in study.measured or ()]
     if names:
@@ -334,12 +341,6 @@ def _check_coordinates(study: Study) -> Iterator[Finding]:
             'file, in metres, or "centred" where they are from the middle of its bounding box, as they were '
             "before version 0.2",
         )
-
-
-def _has_coordinates(region: Region) -> bool:
-    parts = [part for _, part in _inside(region, ())]
-    planes = [plane for part in parts for plane in (part.below, part.above) if plane is not None]
-    return any(part.ball or part.box for part in parts) or any(plane.value is not None for plane in planes)
 
 
 def _inside(region: Region, loc: Loc) -> Iterator[tuple[Loc, Region]]:

@@ -12,8 +12,8 @@ from typing import Any
 import tomli_w
 
 from .checks import holds_nothing, validate
-from .errors import Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown
-from .fields import targets, value_at
+from .errors import Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown, value_at
+from .fields import targets
 from .files import changed_keys, merged
 from .kinds import MAX_NAME, Enters, is_safe_name
 from .loads import LOAD_KEYS
@@ -69,8 +69,7 @@ def load_study(
         source = replace(source, text=tomli_w.dumps(data))
     source = replace(source, directory=path.parent.resolve())
     if surface is not None:
-        data["geometry"] = _surface_geometry(data.get("geometry"), surface)
-        _name_after(surface, data.get("study"))
+        data = _with_surface(data, surface)
     axes, findings = read_axes(data)
     base = first_case(data, axes)
     study, faults = validate(base, source)
@@ -251,35 +250,29 @@ def _parsed(path: Path) -> tuple[dict[str, Any], Source]:
         return tomllib.loads(text), Source(str(path), lines, text)
     except tomllib.TOMLDecodeError as error:
         message = re.sub(r" \(at .*\)$", "", str(error))
-        raise wrong(f"TOML syntax: {message[:1].lower()}{message[1:]}", _line_of(error, text)) from None
+        place = re.search(r"\(at line (\d+),", str(error))
+        line = int(place.group(1)) if place else text.rstrip("\n").count("\n") + 1
+        raise wrong(f"TOML syntax: {message[:1].lower()}{message[1:]}", line) from None
     except ValueError:  # Python converts no whole number of more than 4,300 digits
         match = _LONG_NUMBER.search(text)
         raise wrong("a number is too long", text.count("\n", 0, match.start()) + 1 if match else 1) from None
 
 
-def _line_of(error: tomllib.TOMLDecodeError, text: str) -> int:
-    match = re.search(r"\(at line (\d+),", str(error))
-    return int(match.group(1)) if match else text.rstrip("\n").count("\n") + 1
-
-
-def _surface_geometry(geometry: Any, surface: Path) -> dict[str, Any]:
-    kept = {"shape": "file", "path": str(surface.absolute())}
+def _with_surface(data: Mapping[str, Any], surface: Path) -> dict[str, Any]:
+    """The data of a study with a file as its body: another study, with a run directory and baseline of its own."""
+    geometry, study = data.get("geometry"), data.get("study")
+    kept: dict[str, Any] = {"shape": "file", "path": str(surface.absolute())}
     if isinstance(geometry, dict):
         kept |= {key: geometry[key] for key in ("mesh_size", "size", "coordinates") if key in geometry}
         if geometry.get("shape") != "file":
             kept["coordinates"] = "centred"  # as the study's own body is, which its regions were written for
         if isinstance(kept.get("size"), list):
             del kept["size"]
-    return kept
-
-
-def _name_after(surface: Path, study: Any) -> None:
-    """Another body is another study, with a run directory and a baseline of its own."""
     if isinstance(study, dict) and is_safe_name(name := study.get("name")):
-        file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)[
-            -MAX_NAME // 2 :
-        ]  # scans differ in how they end
-        study["name"] = f"{name[: MAX_NAME - len(file) - 1]}-{file}"
+        # scans differ in how they end
+        file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)[-MAX_NAME // 2 :]
+        study = study | {"name": f"{name[: MAX_NAME - len(file) - 1]}-{file}"}
+    return {**data, "geometry": kept} | ({"study": study} if study is not None else {})
 
 
 def _check_limits(data: Mapping[str, Any], axes: Sequence[Axis], study: Study) -> Iterator[Finding]:

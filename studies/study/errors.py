@@ -130,7 +130,7 @@ def key_text(loc: Loc, data: Mapping[str, Any]) -> str:
     text = ""
     value: Any = data
     for part in loc:
-        value = value[part] if _has(value, part) else None
+        value = value_at(value, (part,))
         if isinstance(part, int):
             name = entry_name(value) or ""
             named = text == "constraints" and _BARE_KEY.fullmatch(name)
@@ -146,10 +146,14 @@ def entry_name(entry: Any) -> str | None:
     return name if isinstance(name, str) else None
 
 
-def _has(value: Any, part: str | int) -> bool:
-    if isinstance(value, dict):
-        return part in value
-    return isinstance(value, list | tuple) and isinstance(part, int) and 0 <= part < len(value)
+def value_at(data: Any, loc: Loc) -> Any:
+    """The value at a place in the data of a study, None where there is none."""
+    for part in loc:
+        try:
+            data = data[part]
+        except (LookupError, TypeError):
+            return None
+    return data
 
 
 # --- Words that several checks of a study share ---

@@ -169,16 +169,6 @@ def targets(data: Mapping[str, Any]) -> dict[str, Target]:
     return found
 
 
-def value_at(data: Any, loc: Loc) -> Any:
-    """The value at a place in the data of a study, None where there is none."""
-    for part in loc:
-        try:
-            data = data[part]
-        except (LookupError, TypeError):
-            return None
-    return data
-
-
 def _of_each_model(data: Mapping[str, Any]) -> dict[str, Any]:
     """The tables of single models, empty where a model of the study has none."""
     study, given = data.get("study"), data.get("models")

@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from .checks import validate
-from .errors import MOST_TOLD, Finding, Loc, Source, unknown
-from .fields import NEVER_AN_INPUT, Target, targets, value_at
+from .errors import MOST_TOLD, Finding, Loc, Source, unknown, value_at
+from .fields import NEVER_AN_INPUT, Target, targets
 from .files import without_folders
 from .kinds import Table
 from .schema import Inputs, Known, Range, Study
@@ -212,7 +212,12 @@ def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
     sweep = data.get("sweep", {})
     rest = {key: value for key, value in data.items() if key != "sweep"}
     star = bool(axes) and sweep.get("mode") == _STAR
-    names = _names(axes)
+    short = Counter(
+        _short(axis.key) for axis in axes
+    )  # labels call an axis by its last part where that is its own
+    names = {
+        key: name if short[name] == 1 else key for key in (a.key for a in axes) for name in (_short(key),)
+    }
     # a key that the file leaves out has no value in the base of a star
     base = (
         {axis.key: own for axis in axes if (own := as_given(rest, axis.target)) is not None} if star else {}
@@ -223,7 +228,11 @@ def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
         case = rest
         for axis, value in changed:
             case = substituted(case, axis.target.loc, value)
-        label = ", ".join(_named_value(names[axis.key], axis, value) for axis, value in changed)
+        units = ("" if axis.target.unit == "1" else f" {axis.target.unit}" for axis, _ in changed)
+        label = ", ".join(
+            f"{names[axis.key]} = {_shown(without_folders(value))}{unit}"
+            for (axis, value), unit in zip(changed, units, strict=True)
+        )
         yield label, base | {axis.key: value for axis, value in changed}, case
 
 
@@ -286,18 +295,6 @@ def first_case(data: dict[str, Any], axes: Sequence[Axis]) -> dict[str, Any]:
         if value_at(data, axis.target.loc) is None:
             data = substituted(data, axis.target.loc, axis.values[0])
     return data
-
-
-def _names(axes: Sequence[Axis]) -> dict[str, str]:
-    """Axis key -> what labels call it: its last part, or all of it where two axes share that."""
-    short = {axis.key: _short(axis.key) for axis in axes}
-    count = Counter(short.values())
-    return {key: name if count[name] == 1 else key for key, name in short.items()}
-
-
-def _named_value(name: str, axis: Axis, value: Value) -> str:
-    unit = "" if axis.target.unit == "1" else f" {axis.target.unit}"
-    return f"{name} = {_shown(without_folders(value))}{unit}"
 
 
 def _short(key: str) -> str:
