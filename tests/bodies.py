@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import pytest
+
 from vdmbench.models import all_models
 from vdmbench.study.shapes import Geometry
 
@@ -23,3 +25,9 @@ def telling_names() -> list[str]:
     of_vector = [f"vdm-vector:{solver}" for solver in ("quasi-linear", "nonlinear", "bicg")]
     others = ["fem-linear:plain", "fem:plain", "vdm-paper:incremental", "vdm-paper:figure-8", "bem:nonlinear"]
     return [*all_models(), *of_vector, *others]
+
+
+def telling_params() -> list[Any]:
+    """The same as parameters of tests that solve with each: scikit-fem's own forms take as long as all others."""
+    slow = {"fem:plain": pytest.param("fem:plain", marks=pytest.mark.slow)}
+    return [slow.get(name, name) for name in telling_names()]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.bodies import telling_names
+from tests.bodies import telling_params
 from vdm.solvers import SOLVERS
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
@@ -47,13 +47,7 @@ def firsts() -> dict[str, ModelResult]:
     return {}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow) if name == "fem:plain" else name
-        for name in (*telling_names(), *(f"vdm-vector:{solver}" for solver in SOLVERS))
-    ],
-)
+@pytest.mark.parametrize("name", [*telling_params(), *(f"vdm-vector:{solver}" for solver in SOLVERS)])
 def test_every_name_runs(scene: Scene, firsts: dict[str, ModelResult], name: str) -> None:
     result = models.run_model(scene, name)
     assert all(status.ok for status in result.status), result.status

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from solver_common.quadrature import facet_quadrature
-from tests.bodies import shaped, telling_names
+from tests.bodies import shaped, telling_params
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
@@ -70,7 +70,7 @@ def answer(mesh: Mesh, name: str, *parts: dict[str, Any], **tables: Any) -> Mode
 
 
 @pytest.mark.parametrize("direction", ["normal", "full"])
-@pytest.mark.parametrize("name", telling_names())
+@pytest.mark.parametrize("name", telling_params())
 def test_every_model_balances_it_or_refuses_it_by_name(box: Mesh, name: str, direction: str) -> None:
     model, solver = models.find(name)
     result = answer(box, name, BED | {"direction": direction})

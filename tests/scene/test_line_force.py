@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.bodies import telling_names
+from tests.bodies import telling_params
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
@@ -124,7 +124,7 @@ def firsts() -> dict[tuple[str, bool], ModelResult]:
 
 
 @pytest.mark.parametrize("tables", [{}, TRACTION], ids=["line", "traction"])
-@pytest.mark.parametrize("name", telling_names())
+@pytest.mark.parametrize("name", telling_params())
 def test_every_model_balances_it_or_refuses_it_by_name(
     box: Mesh, firsts: dict[tuple[str, bool], ModelResult], name: str, tables: dict[str, Any]
 ) -> None:

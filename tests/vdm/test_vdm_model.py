@@ -116,21 +116,6 @@ def test_gravity_datum_changes_the_pressure_only(formulation):
     assert_allclose(by_hand.fluid_pressure, low.fluid_pressure - 1060.0 * 9.81, rtol=1e-10, atol=0.0)
 
 
-def test_vector_reactions_balance_load_and_weight():
-    solution = model("vector", density=1060.0, gravity=(1.0, 0.0, -9.81)).solve([FINGER])
-    weight = 1060.0 * BODY.volume * np.array([1.0, 0.0, -9.81])
-    load = -(BODY.area_vectors * FINGER.contact_pressure[:, None]).sum(axis=0)
-    total = solution.reaction_force[0].sum(axis=0)
-    assert_allclose(total, -(weight + load), rtol=0.0, atol=1e-10 * np.linalg.norm(weight))
-    # off the axis, so that there is a torque to balance; the fluid's pressure has none about any point
-    pressure = np.where((POINTS[:, 0] > 0.02) & (POINTS[:, 1] > 0.02), 200.0, 0.0)
-    torque = np.cross(BODY.points, -pressure[:, None] * BODY.area_vectors).sum(axis=0)
-    reaction = model("vector").solve([Load(pressure)]).reaction_force[0]
-    size = np.linalg.norm(torque)
-    assert size > 1e-3
-    assert_allclose(np.cross(BODY.points, reaction).sum(axis=0), -torque, rtol=0.0, atol=1e-11 * size)
-
-
 @pytest.mark.parametrize("formulation", NAMES)
 def test_normal_traction_balances_fluid_and_contact(formulation):
     solver = model(formulation, outputs=("normal_traction",))
