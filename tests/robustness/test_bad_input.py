@@ -1,30 +1,24 @@
-"""Everything that a user can get wrong, in one table: one clear line, the right exit code, no traceback.
+"""What is wrong with results or with the machine: one clear line, the right exit code, no traceback.
 
-The command is called in this process, with the workers' tasks done here one after the other, so that a row takes a
-fraction of a second. A timeout, memory that runs out and a read-only directory need real processes:
-`tests/work/test_pool.py` and `test_memory_limit`.
+Mistakes of a study are in `tests/study/mistakes.toml`. A timeout, memory that runs out and a read-only directory
+need real processes: `tests/work/test_pool.py` and `test_memory_limit`.
 """
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import json
 import shutil
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import h5py
 import pytest
 
-from tests.command import write_study
-from tests.in_process import HerePool
+from tests.command import vdmbench, write_study
 from tests.store.test_store import _reseal
 from vdmbench import machine
-from vdmbench.cli.main import main
 from vdmbench.store import run_directory
 from vdmbench.study.errors import install_line
 from vdmbench.work import run, worker
@@ -32,45 +26,7 @@ from vdmbench.work import run, worker
 from .processes import RUN, planned_hash
 
 pytestmark = pytest.mark.usefixtures("read_here")
-Prepare = Callable[[Path], Sequence[str | Path]]  # spoils a directory, says what to call
-
-
-def study(*changes: tuple[str, str], verb: str = "check") -> Prepare:
-    """The small study with texts replaced."""
-
-    def prepare(directory: Path) -> Sequence[str | Path]:
-        write_study(directory, **{str(place): change for place, change in enumerate(changes)})
-        return [verb, "small.toml"]
-
-    return prepare
-
-
-def of_file(name: str, size: str = "20 mm", content: bytes | None = None) -> Prepare:
-    def prepare(directory: Path) -> Sequence[str | Path]:
-        if content is not None:
-            (directory / name).write_bytes(content)
-        shape = ('shape = "sphere"\nradius = "50 mm"', f'shape = "file"\npath = "{name}"')
-        return study(shape, ('"16 mm"', f'"{size}"'), verb="run")(directory)
-
-    return prepare
-
-
-HELD_ONLY = 'kind = "fixed"\nregion = "base"\n[[constraints]]\n'
-
-# what is wrong: how to get there, the exit code, a part of what is said
-TABLE: dict[str, tuple[Prepare, int, str]] = {
-    "missing file": (lambda _: ["check", "none.toml"], 2, "none.toml:1: does not exist"),
-    "unreadable mesh": (of_file("body.vtu", content=b"\x7fELF\0"), 2, "cannot be read as .vtu"),
-    "region that selects nothing": (
-        study(('[0, 0, 1], angle = "30 deg"', '[3, 1, 9], angle = "0.1 deg"'), verb="run"), 2,
-        "region 'finger' selects no node of the mesh",
-    ),
-    "nothing held": (study((HELD_ONLY, "")), 2, "nothing is held"),
-    "reference that cannot be incompressible": (
-        study(("fem-linear", "fem-p1"), ("0.49", "0.5")), 2,
-        "small.toml:15: tissue.poisson_ratio: fem-p1, the reference, is a displacement element",
-    ),
-}  # fmt: skip
+HELD_ONLY = ('kind = "fixed"\nregion = "base"\n[[constraints]]\n', "")
 
 
 def _case(directory: Path) -> Path:
@@ -90,8 +46,7 @@ def _failure_cut(directory: Path) -> None:
 
 def _foreign_baseline(directory: Path) -> None:
     """Of a study of another body: nothing can be compared."""
-    with pytest.raises(SystemExit):
-        main(["accept", str(RUN), "--reason", "a test", "--baseline", "b.json"])
+    vdmbench("accept", RUN, "--reason", "a test", "--baseline", "b.json", cwd=directory)
     data = json.loads((directory / "b.json").read_text())
     data["study"] = "another"
     (directory / "b.json").write_text(json.dumps(data))
@@ -124,70 +79,43 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str, int, str]] = {
 }  # fmt: skip
 
 
-@contextlib.contextmanager
-def in_this_process(*_: Any) -> Iterator[HerePool]:
-    """Places without processes."""
-    yield HerePool()
+@pytest.fixture
+def spoilt(undisturbed: tuple[Path, float], tmp_path: Path) -> Path:
+    """A finished directory, to be broken."""
+    return Path(shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True))
 
 
-@pytest.fixture(autouse=True)
-def here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Nothing leaves this process, and no report is drawn."""
-    page = ModuleType("vdmbench.report.page")
-    monkeypatch.setattr(page, "write_report", lambda _, path: path.touch(), raising=False)
-    monkeypatch.setitem(sys.modules, page.__name__, page)
-    monkeypatch.setattr(run, "_pool", in_this_process)
-    monkeypatch.setattr("signal.signal", lambda *_: None)
-    monkeypatch.chdir(tmp_path)
-
-
-def said(arguments: Sequence[str | Path], code: int, capsys: pytest.CaptureFixture[str]) -> str:
+def said(*arguments: str | Path, code: int, cwd: Path) -> str:
     """What a call says, after a look at its exit code and its manners."""
-    capsys.readouterr()
-    with pytest.raises(SystemExit) as caught:
-        main([str(argument) for argument in arguments])
-    found = capsys.readouterr()
-    assert caught.value.code == code, found
-    complaints = [line for line in found.err.splitlines() if line.startswith("vdmbench")]
+    result = vdmbench(*arguments, cwd=cwd)
+    complaints = [line for line in result.stderr.splitlines() if line.startswith("vdmbench")]
+    assert result.returncode == code, result
     assert (code == 0) == (complaints == []) or code == 5, "a clear line for each problem"
     assert all(line.isprintable() and len(line) < 1000 for line in complaints)
-    if code != 3:  # the log of a failed case, which goes to a file
-        assert "Traceback" not in found.out + found.err
-    return found.out + found.err
-
-
-@pytest.mark.parametrize("wrong", TABLE)
-def test_a_mistake_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], wrong: str) -> None:
-    prepare, code, words = TABLE[wrong]
-    assert words in said(prepare(tmp_path), code, capsys)
+    return result.stdout + result.stderr
 
 
 @pytest.mark.parametrize("wrong", DAMAGE)
-def test_what_is_wrong_with_results_is_told(
-    undisturbed: tuple[Path, float], tmp_path: Path, capsys: pytest.CaptureFixture[str], wrong: str
-) -> None:
-    shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True)
+def test_what_is_wrong_with_results_is_told(spoilt: Path, wrong: str) -> None:
     spoil, command, code, words = DAMAGE[wrong]
-    spoil(tmp_path)
-    assert words in said(command.split(), code, capsys)
+    spoil(spoilt)
+    assert words in said(*command.split(), code=code, cwd=spoilt)
 
 
 @pytest.mark.parametrize(("extra", "code"), [([], 6), (["--allow-missing"], 0)])
-def test_half_a_study_does_not_pass_the_gate(
-    undisturbed: tuple[Path, float],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    extra: list[str],
-    code: int,
-) -> None:
-    shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True)
-    said(["accept", RUN, "--reason", "a test"], 0, capsys)
-    said(["gate", RUN], 0, capsys)
-    _case(tmp_path).unlink()
-    told = said(["gate", RUN, "--junit", "out.xml", *extra], code, capsys)
+def test_half_a_study_does_not_pass_the_gate(spoilt: Path, extra: list[str], code: int) -> None:
+    said("accept", RUN, "--reason", "a test", code=0, cwd=spoilt)
+    said("gate", RUN, code=0, cwd=spoilt)
+    _case(spoilt).unlink()
+    told = said("gate", RUN, "--junit", "out.xml", *extra, code=code, cwd=spoilt)
     assert "the run has not got to it" in told
     assert ("or let them be by --allow-missing" in told) == (code == 6)
-    assert ('failures="1"' in Path("out.xml").read_text()) == (code == 6)
+    assert ('failures="1"' in (spoilt / "out.xml").read_text()) == (code == 6)
+
+
+def test_a_body_that_nothing_holds_is_told(tmp_path: Path) -> None:
+    write_study(tmp_path, free=HELD_ONLY)
+    assert "nothing is held" in said("check", "small.toml", code=2, cwd=tmp_path)
 
 
 # --- the machine ---
@@ -196,14 +124,7 @@ def test_half_a_study_does_not_pass_the_gate(
 @pytest.mark.parametrize(
     ("error", "line"),
     [
-        (
-            OSError("libGLU.so.1: cannot open shared object file: No such file or directory"),
-            "apt-get install ",
-        ),
-        (
-            ImportError("libXft.so.2: cannot open shared object file"),
-            "apt-get install libgomp1 libglu1-mesa ",
-        ),
+        (OSError("libGLU.so.1: cannot open shared object file"), "apt-get install libgomp1 libglu1-mesa "),
         (
             ModuleNotFoundError("No module named 'skfem'", name="skfem.element"),
             "pip install --constraint constraints.txt scikit-fem",
@@ -211,36 +132,31 @@ def test_half_a_study_does_not_pass_the_gate(
     ],
 )
 def test_a_missing_library_is_told_with_the_line_that_installs_it(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    error: Exception,
-    line: str,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, line: str
 ) -> None:
     def refuse(*_: Any) -> None:
         raise error
 
+    write_study(tmp_path)
     monkeypatch.setattr(run, "run_plan", refuse)
-    assert f"vdmbench: {error}; install it: {line}" in said(study(verb="run")(tmp_path), 4, capsys)
+    told = said("run", "small.toml", code=4, cwd=tmp_path)
+    assert f"vdmbench: {error}; install it: {line}" in told
     assert worker._outcome(refuse) == ("error", str(error), install_line(error))
 
 
-def test_a_full_disk_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As the run begins; a case that finds the disk full is a failed case."""
 
     def no_room(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    arguments = study(verb="run")(tmp_path)
+    write_study(tmp_path)
     with monkeypatch.context() as patch:
         patch.setattr(machine.os, "fsync", no_room)
-        assert f"{RUN}/study.toml: No space left on device" in said(arguments, 4, capsys)
-    assert [path for path in (tmp_path / "results").rglob("*") if path.is_file()] == [
-        tmp_path / RUN / ".lock"
-    ]
+        told = said("run", "small.toml", code=4, cwd=tmp_path)
+        assert f"{RUN}/study.toml: No space left on device" in told
+    left = [path for path in (tmp_path / "results").rglob("*") if path.is_file()]
+    assert left == [tmp_path / RUN / ".lock"]
     monkeypatch.setattr("vdmbench.work.case.write_case", no_room)
-    told = said(arguments, 3, capsys)
-    assert "No space left on device" in told
-    assert "; check free space and permissions" in told
+    told = said("run", "small.toml", code=3, cwd=tmp_path)
+    assert "No space left on device; check free space and permissions" in " ".join(told.split())
