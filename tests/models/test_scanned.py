@@ -16,7 +16,6 @@ from vdmbench.body.geometry import build_mesh
 from vdmbench.models.scanned import rest_shape
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.schema import Study
-from vdmbench.work.keys import wanted
 
 WEIGHT = [0.0, 0.0, -9.81]
 STUDY = {
@@ -86,11 +85,6 @@ def test_what_finds_no_rest_shape_says_so_by_name(at_rest: Scene, name: str) -> 
     (status, _) = models.run_model(_scan(at_rest, at_rest.mesh.points), name).status
     assert status.code == "refused"
     assert status.message.startswith(f"{name} finds no rest shape for gravity.scanned")
-
-
-def test_a_scan_has_keys_of_its_own() -> None:
-    keys = [wanted(study, "mesh")[0].body for study in (SCANNED, Study.model_validate(STUDY))]
-    assert keys[0] != keys[1]
 
 
 def test_a_body_without_a_rest_shape_is_an_error() -> None:

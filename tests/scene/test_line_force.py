@@ -104,19 +104,6 @@ def test_a_traction_is_even_over_its_facets(box: Mesh) -> None:
     assert_allclose(finer.load(1.0).dead_force.sum(axis=0), PULL, rtol=1e-12)
 
 
-def test_a_traction_along_the_normal_is_a_pressure(box: Mesh) -> None:
-    pull = {"kind": "traction", "region": "end", "resultant": [5e-3, 0.0, 0.0]}
-    press = {"kind": "contact", "region": "end", "force": -5e-3}
-    drawn, pressed = (
-        models.run_model(
-            build_scene(study(**TRACTION | {"constraints": [BASE["constraints"][0], part]}), box), name
-        )
-        for name in ("fem-linear",)
-        for part in (pull, press)
-    )
-    assert_allclose(drawn.displacement, pressed.displacement, atol=1e-9 * np.abs(pressed.displacement).max())
-
-
 @pytest.fixture(scope="module")
 def firsts() -> dict[tuple[str, bool], ModelResult]:
     """What models say with their first solvers under a line or a traction."""
