@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import io
 import math
 
@@ -12,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import make_case, make_run, sweep_run
-from vdmbench.measures.case import MetricSeries
 from vdmbench.measures.frame import frame, reference_bar, value_bar
 from vdmbench.store.cases import metrics_csv
 from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
@@ -45,34 +43,6 @@ def test_the_error_bar_is_the_convergence_index_of_the_metric() -> None:
     assert reference_bar(case, DEFORMATION) == 0.025
     assert math.isnan(reference_bar(case, "volume_drift"))
     assert math.isnan(reference_bar(make_case({"m": 0.1}, subdivisions=0)))
-
-
-def test_the_references_own_drift_has_a_bar_from_its_levels_and_nobody_elses_has() -> None:
-    made = make_case({"vdm-m": 0.1, "fem-linear": 0.02}, reference="fem-linear refined", subdivisions=0)
-    drifts = {"vdm-m": 5e-4, "fem-linear": -18e-4, "fem-linear refined": -21e-4}
-    metrics = {
-        name: {**made.metrics[name], "volume_drift": MetricSeries(np.array([0, 0, 0, drift]), "1", "", 1)}
-        for name, drift in drifts.items()
-    }
-
-    def bars(levels: float) -> list[float]:
-        case = dataclasses.replace(made, metrics=metrics, reference_error={"levels": levels})
-        digest = Digest(make_run([case]))
-        found = (digest.spread(name, "volume_drift") for name in drifts)
-        return [spread.worst_bar for spread in found if spread is not None]
-
-    # 1.25 times the estimated error: the difference on two levels, a third of it on three
-    assert_allclose(bars(2.0), [np.nan, np.nan, 3.75e-4], rtol=1e-12, atol=0)
-    assert_allclose(bars(3.0), [np.nan, np.nan, 1.25e-4], rtol=1e-12, atol=0)
-    case = dataclasses.replace(made, metrics=metrics, reference_error={"levels": 2.0})
-    run = make_run([case])
-    written = {
-        row["model"]: row["reference_error"]
-        for row in csv.DictReader(io.StringIO(metrics_csv(frame(run))))
-        if row["metric"] == "volume_drift" and float(row["load_factor"]) == 1.0
-    }
-    assert_allclose(float(written["fem-linear refined"]), 3.75e-4, rtol=1e-12, atol=0)
-    assert written["vdm-m"] == written["fem-linear"] == ""
 
 
 def test_metrics_csv_has_every_value_with_its_full_load_bar() -> None:
