@@ -61,7 +61,11 @@ def _placed(table: Measured, number: int, mesh: Mesh) -> Placed:
             place,
         )
     if table.surface:
-        _check_size(table, mesh, number)
+        own = float(np.ptp(np.array(table.surface), axis=0).max())
+        body = float(np.ptp(mesh.surface_points, axis=0).max())
+        if not body / _UNITS <= own <= body * _UNITS:
+            text = f"surface {table.name!r} is {own:.3g} m across, the body {body:.3g} m: a mixed-up unit?"
+            raise SceneError(text, place)
     if not len(points):
         return Placed(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0))
     distance, facet, weights = nearest_on_surface(points, mesh.surface_points, mesh.triangles)
@@ -83,11 +87,3 @@ def _placed(table: Measured, number: int, mesh: Mesh) -> Placed:
 def _named(point: MeasuredPoint, number: int) -> str:
     name = f"point {point.name!r}" if point.name else f"point {number + 1}"
     return f"{name} (line {point.line} of its file)" if point.line else name
-
-
-def _check_size(table: Measured, mesh: Mesh, number: int) -> None:
-    own = float(np.ptp(np.array(table.surface), axis=0).max())
-    body = float(np.ptp(mesh.surface_points, axis=0).max())
-    if not body / _UNITS <= own <= body * _UNITS:
-        text = f"surface {table.name!r} is {own:.3g} m across, the body {body:.3g} m: a mixed-up unit?"
-        raise SceneError(text, ("measured", number))

@@ -50,9 +50,18 @@ def scene_warnings(
         mask, loc = masks[part.region], ("constraints", place, "region")
         if part.holds:
             if mask.any() and not (on_support & mask[triangles].any(axis=1)).any():
-                yield loc, _lone(int(mask.sum()))
+                yield (
+                    loc,
+                    f"holds {_number(int(mask.sum()), 'lone ')} and no facet: on finer meshes what moves there "
+                    "grows without limit; hold an area, by a larger region or a smaller mesh_size",
+                )
             elif count := int((mask & apart).sum()):
-                yield loc, _lone_besides(count)
+                yield (
+                    loc,
+                    f"holds {_number(count, 'lone ')} apart from its facets: what they carry falls with the mesh "
+                    "size, and with it the answer may change by any amount; take them out of the region, or hold "
+                    "an area there by a smaller mesh_size",
+                )
             continue
         if part.kind != "contact":
             continue
@@ -111,21 +120,6 @@ def _apart(support: Mask, triangles: Index) -> Mask:
     while len(further := ends[joined[ends[:, 0]] != joined[ends[:, 1]]]):
         joined[further] = True
     return np.asarray(support & ~joined)
-
-
-def _lone(count: int) -> str:
-    return (
-        f"holds {_number(count, 'lone ')} and no facet: on finer meshes what moves there grows without limit; "
-        "hold an area, by a larger region or a smaller mesh_size"
-    )
-
-
-def _lone_besides(count: int) -> str:
-    return (
-        f"holds {_number(count, 'lone ')} apart from its facets: what they carry falls with the mesh size, and "
-        "with it the answer may change by any amount; take them out of the region, or hold an area there by a "
-        "smaller mesh_size"
-    )
 
 
 def _number(count: int, kind: str = "") -> str:

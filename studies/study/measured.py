@@ -6,7 +6,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -123,7 +123,12 @@ def _parsed(name: str, data: bytes, layouts: Layouts) -> tuple[str, tuple[Row, .
     columns: dict[str, tuple[str, str]] = {}
     rows: list[Row] = []
     try:
-        for line, cells in _lines(data.decode("utf-8-sig")):
+        text = io.StringIO(data.decode("utf-8-sig"), newline=None).read()
+        for number, told in enumerate(text.split("\n"), start=1):
+            if not told.strip() or told.startswith("#"):
+                continue
+            line = number  # of the last that says something
+            cells = [cell.strip() for cell in next(csv.reader([told]))]
             if not kind:
                 kind, needed, columns = _header(cells, layouts)
             else:
@@ -139,16 +144,9 @@ def _parsed(name: str, data: bytes, layouts: Layouts) -> tuple[str, tuple[Row, .
     return kind, tuple(rows)
 
 
-def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """(line, cells) of the header and of each row."""
-    for line, told in enumerate(io.StringIO(text, newline=None).read().split("\n"), start=1):
-        if told.strip() and not told.startswith("#"):
-            yield line, next(csv.reader([told]))
-
-
 def _header(titles: list[str], layouts: Layouts) -> tuple[str, tuple[str, ...], dict[str, tuple[str, str]]]:
     """The table that a header is of, its columns that every row has, and unit and SI unit of each column."""
-    parsed = [(title.strip(), _HEADER.fullmatch(title.strip())) for title in titles]
+    parsed = [(title, _HEADER.fullmatch(title)) for title in titles]
     keys = {match["key"] for _, match in parsed if match}
     kind, needed, others = max(layouts, key=lambda layout: len(keys & {*layout[1], *layout[2]}))
     columns: dict[str, tuple[str, str]] = {}
@@ -182,7 +180,7 @@ def _row(cells: list[str], columns: Mapping[str, tuple[str, str]], needed: tuple
     if len(cells) != len(columns):
         raise QuantityError(f"has {len(cells)} cells, the header {len(columns)}")
     found: Row = {}
-    for (key, (unit, si)), cell in zip(columns.items(), map(str.strip, cells), strict=True):
+    for (key, (unit, si)), cell in zip(columns.items(), cells, strict=True):
         try:
             if cell:
                 found[key] = _number(cell, unit, si) if si else cell

@@ -16,7 +16,7 @@ from .errors import MOST_TOLD, Finding, Loc, Source, unknown, value_at
 from .fields import NEVER_AN_INPUT, Target, targets
 from .files import without_folders
 from .kinds import Table
-from .schema import Inputs, Known, Range, Study
+from .schema import Known, Range, Study
 from .units import shown, type_name
 
 Value = float | str
@@ -476,16 +476,6 @@ class Variation:
     study: Study
 
 
-def _varied_values(inputs: Sequence[Input], table: Inputs) -> list[dict[str, float]]:
-    """The values of each variation: per key the lower and the upper, or the samples."""
-    if table.method == SENSITIVITIES:
-        return [{one.key: end} for one in inputs for end in one.ends]
-    from scipy.stats import qmc
-
-    shares = qmc.LatinHypercube(len(inputs), rng=table.seed or 0).random(table.samples or _SAMPLES)
-    return [{one.key: one.at(float(share)) for one, share in zip(inputs, row, strict=True)} for row in shares]
-
-
 def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
     """The studies that tell what comes of not knowing the inputs, or the first thing that is wrong with them."""
     if study.inputs is None:
@@ -501,8 +491,15 @@ def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
         return [], [(("inputs",), text)]
     locs = {one.key: one.loc for one in inputs}
     rest = {key: value for key, value in data.items() if key not in _NOT_VARIED}
+    if by_ends:  # per key the lower and the upper, else the samples
+        values = [{one.key: end} for one in inputs for end in one.ends]
+    else:
+        from scipy.stats import qmc
+
+        shares = qmc.LatinHypercube(len(inputs), rng=study.inputs.seed or 0).random(count)
+        values = [{one.key: one.at(float(s)) for one, s in zip(inputs, row, strict=True)} for row in shares]
     found: list[Variation] = []
-    for changed in _varied_values(inputs, study.inputs):
+    for changed in values:
         varied = rest
         for key, value in changed.items():
             varied = substituted(varied, locs[key], value)

@@ -99,7 +99,7 @@ def test_a_node_without_a_point_takes_the_nearest_and_its_distance_is_told(tmp_p
             f"{PLACES},{MOVED},deformed_x\n0,0,1,0,0,0,0\n",
             "a.csv:1: unknown column 'deformed_x'; a table of displacements at places has",
         ),
-        (f"{PLACES},{MOVED}\n0,0,1,0,0,{'0' * 200_000}\n", "a.csv:1: is no table: field larger than"),
+        (f"{PLACES},{MOVED}\n0,0,1,0,0,{'0' * 200_000}\n", "a.csv:2: is no table: field larger than"),
     ],
 )
 def test_a_bad_file_is_told(tmp_path: Path, text: str, told: str) -> None:
