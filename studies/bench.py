@@ -37,6 +37,7 @@ from .store.plain import typed
 from .study.config import expand, with_mesh_size
 from .study.errors import InputError
 from .study.schema import Study
+from .verdict.digest import median_known
 from .verdict.formatting import NOTHING, quantity, scale_of
 from .work.provenance import provenance
 
@@ -108,12 +109,6 @@ class Bench:
         return [entry for entry in self.entries if (entry.body, entry.nodes) == mesh]
 
 
-def median(values: Array) -> float:
-    """Of what was measured; NaN where nothing was."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else math.nan
-
-
 def spread(values: Array) -> tuple[float, float]:
     """First and third quartile of what was measured."""
     known = values[np.isfinite(values)]
@@ -122,10 +117,10 @@ def spread(values: Array) -> tuple[float, float]:
 
 
 _COSTS: dict[str, Callable[[Entry], float]] = {
-    "frame of a contact": lambda e: median(e.frame_local),
-    "frame with all nodes loaded": lambda e: median(e.frame_all),
-    "set-up with the contact's columns": lambda e: median(e.setup + e.columns),
-    "re-cut": lambda e: median(e.recut),
+    "frame of a contact": lambda e: median_known(e.frame_local),
+    "frame with all nodes loaded": lambda e: median_known(e.frame_all),
+    "set-up with the contact's columns": lambda e: median_known(e.setup + e.columns),
+    "re-cut": lambda e: median_known(e.recut),
 }
 
 
@@ -176,7 +171,7 @@ def _fastest(entries: Sequence[Entry], *, cost: Callable[[Entry], float]) -> str
 
 def _most_accurate(entries: Sequence[Entry], *, budget: float) -> str:
     """The one of least error and those of the same; undecided where others are closer to it than the bar."""
-    within = [e for e in entries if median(e.frame_local) <= budget]
+    within = [e for e in entries if median_known(e.frame_local) <= budget]
     if not within:
         return "none"
     best = min(within, key=lambda e: e.error)
@@ -241,7 +236,7 @@ def rows(bench: Bench) -> list[dict[str, str]]:
 
     def timed(values: Array) -> str:
         low, high = spread(values)
-        return f"{seconds(median(values))} [{seconds(low)}, {seconds(high)}]" if low == low else "–"
+        return f"{seconds(median_known(values))} [{seconds(low)}, {seconds(high)}]" if low == low else "–"
 
     return [
         {
@@ -264,7 +259,7 @@ def rows(bench: Bench) -> list[dict[str, str]]:
 
 def _ratio(values: Array) -> str:
     """The median of the ratios of all rounds, and between which two they lie."""
-    ratio, (low, high) = median(values), spread(values)
+    ratio, (low, high) = median_known(values), spread(values)
     return "–" if math.isnan(ratio) else f"{ratio:.2g} [{low:.2g}, {high:.2g}]"
 
 
@@ -368,7 +363,9 @@ def _on_mesh(body: str, study: Study, scene: Scene, names: Sequence[str], rounds
     own = models.run_model(contact, YARDSTICK)
     require_converged(YARDSTICK, own)
     finer = refined(scene.mesh, 1)
-    finest = restricted(models.run_model(level_scene(_with_history(study), finer), YARDSTICK), finer)
+    load = study.load.model_copy(update={"factors": tuple(FACTORS.tolist()), "steps": None})
+    fine = level_scene(study.model_copy(update={"load": load}), finer)
+    finest = restricted(models.run_model(fine, YARDSTICK), finer)
     require_converged(f"{YARDSTICK} on the refined mesh", finest)
     bars = own_error(surface, [finest, own], FACTORS)
     reference = History(finest.displacement, finest.reaction_force, FACTORS)
@@ -391,12 +388,6 @@ def _series(taken: Sequence[Round], rounds: int) -> dict[str, Array]:
         "recut": [one.setup + one.direct for one in taken],
     }
     return {name: np.array([*found, *[np.nan] * (rounds - len(found))]) for name, found in times.items()}
-
-
-def _with_history(study: Study) -> Study:
-    """The study with the benchmark's two loads: what a scene on a refined mesh is built from."""
-    load = study.load.model_copy(update={"factors": tuple(FACTORS.tolist()), "steps": None})
-    return study.model_copy(update={"load": load})
 
 
 def _entry(

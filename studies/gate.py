@@ -240,27 +240,27 @@ def read_baseline(path: Path) -> Baseline:
     again = f"vdmbench accept DIR --reason TEXT --baseline {shlex.quote(str(path))}"
     if not path.exists():
         raise BaselineError(f"{no_baseline(path)} --baseline {shlex.quote(str(path))}")
-    schema = _schema(path)
-    if schema is None:
+    found = _loaded(path)
+    if found is None:
         raise StoreError(f"{path}: not a baseline; restore it, or delete it and accept again: {again}")
-    if schema < SCHEMA:
+    if found["schema"] < SCHEMA:
         raise BaselineError(f"{path}: made by an older version; accept again: {again}")
-    if schema > SCHEMA:
-        raise BaselineError(f"{path}: schema {schema} is newer than this program's {SCHEMA}; update vdmbench")
+    if found["schema"] > SCHEMA:
+        told = f"schema {found['schema']} is newer than this program's {SCHEMA}; update vdmbench"
+        raise BaselineError(f"{path}: {told}")
     try:
-        return typed(Baseline, json.loads(path.read_bytes()))
+        return typed(Baseline, found)
     except ValueError as error:
         raise StoreError(f"{path}: not a baseline ({error}); restore it, or accept again: {again}") from None
 
 
-def _schema(path: Path) -> int | None:
-    """The schema of a baseline of whatever version; None where the file is none."""
+def _loaded(path: Path) -> dict[str, Any] | None:
+    """A baseline of whatever version as plain data; None where the file is none."""
     try:
         found = json.loads(path.read_bytes())
     except (ValueError, RecursionError):
         return None
-    schema = found.get("schema") if isinstance(found, dict) else None
-    return schema if isinstance(schema, int) else None
+    return found if isinstance(found, dict) and isinstance(found.get("schema"), int) else None
 
 
 def accept(run: Run, path: Path, reason: str) -> Baseline:
@@ -283,7 +283,7 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
             f"{len(run.failed)} cases failed and {len(run.missing)} are missing: finish the run before "
             f"accepting it"
         )
-    if path.exists() and _schema(path) is None:
+    if path.exists() and _loaded(path) is None:
         raise BaselineError(f"{path}: is no baseline and stays as it is; name another file, or delete it")
     measured = (series for case in run.cases for found in case.metrics.values() for series in found.items())
     for name, series in measured:

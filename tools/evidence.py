@@ -449,7 +449,8 @@ def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
 
 def performance(name: str, arguments: Sequence[str]) -> None:
     """What `vdmbench bench` measures, kept in results/bench."""
-    from vdmbench.bench import amount, error_text, median, read_bench, seconds
+    from vdmbench.bench import amount, error_text, read_bench, seconds
+    from vdmbench.verdict.digest import median_known
 
     own, there = EVIDENCE[name], ROOT / "results" / "bench"
     surface = ["--surface", Path(arguments[0]).absolute()] if arguments else []
@@ -460,7 +461,7 @@ def performance(name: str, arguments: Sequence[str]) -> None:
     rows = []
     for e in [e for mesh in finest for e in bench.on(mesh) if e.model in own["models"]]:
         times = [e.setup, e.frame_all, e.columns, e.frame_local, e.recut]
-        cells = [seconds(median(values)) for values in times]
+        cells = [seconds(median_known(values)) for values in times]
         rows.append([e.body, str(e.nodes), e.model, *cells, amount(e.peak_bytes, "B"), error_text(e)])
     head = ["body", "nodes", "model", "set-up", "frame, all nodes", "columns", "frame, contact", "re-cut"]
     head += ["memory", "error"]

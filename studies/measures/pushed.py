@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from solver_common.arrays import Array, Index, Mask
+from solver_common.arrays import Array, Mask
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import Surface, facet_area_vectors
@@ -48,25 +48,6 @@ class Answer:
         return cls(result.displacement, result.reaction_force, linear, values, force)
 
 
-def inward(displacement: Array, nodes: Index, normals: Array) -> Array:
-    """(S,) displacement along the normal, inwards, of the node of `nodes` that it moves farthest [m]."""
-    along = -np.einsum("sij,ij->si", displacement[:, nodes], normals[nodes])
-    return np.asarray(along[np.arange(len(along)), np.abs(along).argmax(axis=1)])
-
-
-def resultant(pressure: float, mask: Mask, points: Array, triangles: Index) -> float:
-    """Force of a uniform pressure [Pa] over the facets whose three nodes are in a region [N]."""
-    first, second, third = mask[triangles].T
-    vectors = facet_area_vectors(points, triangles[first & second & third])
-    return float(pressure * np.linalg.norm(vectors.sum(axis=0)))
-
-
-def along_movement(prescribed: Array, reaction: Array, mask: Mask) -> Array:
-    """(S,) force along a prescribed displacement (3,) that holds the region there [N]."""
-    total: Array = reaction[:, mask].sum(axis=1)
-    return np.asarray(total @ (prescribed / np.linalg.norm(prescribed)))
-
-
 class Pushed:
     """One constraint that pushes a body: the curve of force against depth of any answer.
 
@@ -100,10 +81,15 @@ class Pushed:
         given = {**self.constraint.model_dump(exclude_none=True), **self._changed(answer)}
         if self.constraint.kind == "contact":
             size = given["pressure"] if self.unit == "Pa" else given.get("force")
-            if size is None:
-                size = resultant(given["pressure"], self._mask, self._surface.points, self._surface.triangles)
-            nodes = np.flatnonzero(self._mask)
-            return inward(answer.displacement, nodes, self._surface.normals), self._factors * float(size)
+            if size is None:  # the resultant of a uniform pressure
+                facets = self._surface.triangles[self._mask[self._surface.triangles].all(axis=1)]
+                vectors = facet_area_vectors(self._surface.points, facets)
+                size = float(given["pressure"] * np.linalg.norm(vectors.sum(axis=0)))
+            # inwards along the normal, of the node in contact that moves farthest
+            normals = self._surface.normals[self._mask]
+            inward = -np.einsum("sij,ij->si", answer.displacement[:, self._mask], normals)
+            farthest = inward[np.arange(len(inward)), np.abs(inward).argmax(axis=1)]
+            return farthest, self._factors * float(size)
         if self.constraint.kind == "indenter":
             force = answer.indenter_force
             depths = self._factors * float(given["depth"])
@@ -112,7 +98,8 @@ class Pushed:
         depths = self._factors * float(np.linalg.norm(prescribed))
         if answer.reaction is None:
             return depths, np.full(len(depths), np.nan)
-        return depths, along_movement(prescribed, answer.reaction, self._mask)
+        total = answer.reaction[:, self._mask].sum(axis=1)
+        return depths, np.asarray(total @ (prescribed / np.linalg.norm(prescribed)))
 
     def force_at(self, depth: float, answer: Answer) -> float:
         """The force at a depth [N]: a monotone cubic through the load steps, a line of what is linear.

@@ -166,44 +166,17 @@ def shortened(text: str, most: int = 22) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-class Plot:
-    """One panel: draw on its axes in the `with` block, then take `drawn`."""
-
-    def __init__(self, x_label: str, y_label: str, salt: str) -> None:
-        self.salt = salt
-        self._svg, self._for_script = "", ""
-        self._style = rc_context(STYLE)
-        self._labels = (shortened(x_label, 60), shortened(y_label, 40))
-
-    def __enter__(self) -> Axes:
-        self._style.__enter__()
-        page = self._page = Canvas(figsize=(_WIDTH, _HEIGHT))
-        page.subplots_adjust(**_MARGINS)
-        page.patch.set_visible(False)
-        axes = self.axes = page.add_subplot()
-        axes.patch.set_visible(False)
-        # labels at the margins, where those of all panels line up
-        axes.xaxis.set_label_coords(
-            0.5, _LABELS[1], blended_transform_factory(axes.transAxes, page.transFigure)
-        )
-        axes.yaxis.set_label_coords(
-            _LABELS[0], 0.5, blended_transform_factory(page.transFigure, axes.transAxes)
-        )
-        axes.set(xlabel=self._labels[0], ylabel=self._labels[1])
-        return axes
-
-    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        try:
-            if kind is None:
-                name_curves(self.axes)
-                self._for_script = axes_for_script(self.axes)
-                self._svg = svg_of(self._page)
-        finally:
-            self._style.__exit__(None, None, None)
-
-    def drawn(self, alt: str) -> Markup:
-        """The finished <svg> element; `alt` says in words what it shows. Matplotlib has escaped its texts."""
-        return for_the_page(self._svg, alt, self.salt, self._for_script)
+def panel(x_label: str, y_label: str) -> tuple[Canvas, Axes]:
+    """An empty panel and its axes, with labels at the margins, where those of all panels line up."""
+    page = Canvas(figsize=(_WIDTH, _HEIGHT))
+    page.subplots_adjust(**_MARGINS)
+    page.patch.set_visible(False)
+    axes = page.add_subplot()
+    axes.patch.set_visible(False)
+    axes.xaxis.set_label_coords(0.5, _LABELS[1], blended_transform_factory(axes.transAxes, page.transFigure))
+    axes.yaxis.set_label_coords(_LABELS[0], 0.5, blended_transform_factory(page.transFigure, axes.transAxes))
+    axes.set(xlabel=shortened(x_label, 60), ylabel=shortened(y_label, 40))
+    return page, axes
 
 
 def draw(
@@ -269,8 +242,8 @@ def lines(
     shown : a number on the y axis as a text
     told : what is said of a curve instead of where its y axis begins and ends
     """
-    plot = Plot(x_label, y_label, salt)
-    with plot as axes:
+    with rc_context(STYLE):
+        page, axes = panel(x_label, y_label)
         for curve in curves:
             number = digest.colour(curve.model)
             if curve.band is not None and np.any(np.not_equal(*curve.band)):
@@ -280,13 +253,15 @@ def lines(
                     axes.fill_between(curve.x, *curve.band, color=colour(number), alpha=0.14, linewidth=0)
             draw(axes, number, curve.model, curve.x, curve.y, cases=curve.cases, **curve.look)
         finish(axes)
+        name_curves(axes)
+        for_script, svg = axes_for_script(axes), svg_of(page)
 
     def ends(curve: Curve) -> str:
         found = dict.fromkeys(shown(float(y)) for y in curve.ends())
         return f"{'from ' if len(found) > 1 else ''}{' to '.join(found)}"
 
     words = listed(f"{curve.model} {(told or ends)(curve)}" for curve in curves)
-    return Figure(plot.drawn(f"{title}: {words}."), title)
+    return Figure(for_the_page(svg, f"{title}: {words}.", salt, for_script), title)
 
 
 def limit_line(axes: Axes, allowed: float) -> None:
@@ -314,6 +289,12 @@ def _name_line(axes: Axes, at: tuple[float, float], transform: Any, name: str, *
     axes.text(*at, name, transform=transform, **style)
 
 
+def from_origin(axes: Axes) -> None:
+    """Both axes begin at zero, or below where curves do."""
+    axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+
+
 def percent_axis(axes: Axes, values: ArrayLike) -> None:
     """The y axis shows ratios as percentages: from zero, or by decades where they span more than one."""
     ratios = np.asarray(values, dtype=np.float64)
@@ -326,11 +307,6 @@ def percent_axis(axes: Axes, values: ArrayLike) -> None:
         top = float(finite.max()) if len(finite) else 0.0
         axes.set_ylim(0.0, 1.08 * top if top > 0 else 1.0)
         axes.yaxis.set_major_locator(MaxNLocator(6))
-    percent_ticks(axes)
-
-
-def percent_ticks(axes: Axes) -> None:
-    """Ratios on the y axis named as percentages."""
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{plain(value * 100)} %"))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from solver_common.arrays import Array
 from ..measures.case import CaseResult
 from ..measures.frame import at_full_load
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..measures.pushed import Answer
+from ..measures.pushed import Answer, Pushed
 from ..verdict.acceptance import name_of, pushes
 from ..verdict.digest import DRIFT, ELSEWHERE, ONCE, REFERENCE, Cost, Digest
 from ..verdict.formatting import listed, parameter_name, quantity, scale_of, short_percent, swept_value
@@ -25,6 +25,7 @@ from .plots import (
     budget_line,
     colour,
     draw,
+    from_origin,
     limit_line,
     lines,
     log_axis,
@@ -242,71 +243,52 @@ _KINDS = {
 }
 
 
-@dataclass(frozen=True)
-class Push:
-    """One place where a case is pushed: model -> (S,) lengths [m] and (S,) loads [unit]."""
-
-    name: str
-    length: str  # what it is called
-    load: str
-    unit: str
-    note: str
-    curves: Mapping[str, tuple[Array, Array]]
-
-
 def force_against_indentation(digest: Digest) -> Section | None:
     """How stiff the body feels where the case that the page looks at first is pushed, if it has a load history."""
     role, case = digest.key_cases[0] if digest.cases else ("", None)
-    if case is None or len(case.load_factors) == 1 or not (found := list(_pushes(digest, case))):
+    if case is None or len(case.load_factors) == 1:
         return None
     title = f"{digest.case_name(case)}{f' ({role})' if role else ''}"
-    figures = [
-        _drawing(digest, case, push, ", ".join(filter(None, [push.name, title])), f"f{k}")
-        for k, push in enumerate(found)
-    ]
-    notes = dict.fromkeys(push.note for push in found)
+    figures: list[Figure] = []
+    notes: dict[str, None] = {}
+    for pushed in pushes(case, digest.surfaces[case.hash]):
+        curves = {
+            name: np.array(pushed.curve(Answer.of(case.models[name])))
+            for name in digest.models
+            if name in case.models
+        }
+        known = {name: curve[:, np.isfinite(curve).all(axis=0)] for name, curve in curves.items()}
+        if known := {name: curve for name, curve in known.items() if curve.size}:
+            place = ", ".join(filter(None, [name_of(pushed.constraint), title]))
+            figures.append(_force_chart(digest, case, pushed, known, place, f"f{len(figures)}"))
+            notes[_KINDS[pushed.constraint.kind][2]] = None
+    if not figures:
+        return None
     if case.study.gravity is not None and any(case.study.gravity.acceleration):
         notes[_WEIGHT_NOTE] = None
     blocks: list[Block] = [Text(" ".join(notes), kind="note"), Figures(figures, digest.legend)]
     return Section("force", "Force against indentation", blocks)
 
 
-def _pushes(digest: Digest, case: CaseResult) -> Iterator[Push]:
-    """Where a case is pushed, with the models whose curve is known."""
-    for pushed in pushes(case, digest.surfaces[case.hash]):
-        curves = {model: pushed.curve(Answer.of(result)) for model, result in case.models.items()}
-        known = {m: curve for m, curve in curves.items() if np.isfinite(curve).all(axis=0).any()}
-        length, load, note = _KINDS[pushed.constraint.kind]
-        load = "contact pressure" if pushed.unit == "Pa" else load
-        if known:
-            yield Push(name_of(pushed.constraint), length, load, pushed.unit, note, known)
-
-
-def _drawing(digest: Digest, case: CaseResult, push: Push, place: str, salt: str) -> Figure:
-    models = [model for model in digest.models if model in push.curves]
-    (length, length_unit), (force, force_unit) = (
-        scale_of(unit, np.concatenate([push.curves[model][k] for model in models]))
-        for k, unit in enumerate(("m", push.unit))
-    )
-    curves = []
-    for model in models:
-        x, y = np.array(push.curves[model])[:, np.isfinite(push.curves[model]).all(axis=0)]
-        curves.append(Curve(model, x / length, y / force, [digest.place[case.hash]] * len(x)))
-
-    def finish(axes: Axes) -> None:
-        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
-        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+def _force_chart(
+    digest: Digest, case: CaseResult, pushed: Pushed, known: Mapping[str, Array], place: str, salt: str
+) -> Figure:
+    """`known` has (2, K) depths [m] and forces [N], or pressures [Pa], of the models that tell them."""
+    depth, force, _ = _KINDS[pushed.constraint.kind]
+    force = "contact pressure" if pushed.unit == "Pa" else force
+    every = np.concatenate(list(known.values()), axis=1)
+    (length, length_unit), (load, load_unit) = map(scale_of, ("m", pushed.unit), every)
+    number = digest.place[case.hash]
+    curves = [Curve(name, x / length, y / load, [number] * len(x)) for name, (x, y) in known.items()]
 
     def told(curve: Curve) -> str:
-        x, y = np.asarray(curve.x) * length, np.asarray(curve.y) * force
+        x, y = known[curve.model]
         last = int(np.argmax(np.abs(x)))
-        return f"{quantity(float(y[last]), push.unit)} at {quantity(float(x[last]), 'm')}"
+        return f"{quantity(float(y[last]), pushed.unit)} at {quantity(float(x[last]), 'm')}"
 
-    x_label, y_label = f"{push.length} [{length_unit}]", f"{push.load} [{force_unit}]"
-    title = f"{push.load.capitalize()} against {push.length}, {place}"
-    return replace(
-        lines(digest, curves, x_label, y_label, title, salt, finish=finish, told=told), title=place
-    )
+    labels = f"{depth} [{length_unit}]", f"{force} [{load_unit}]"
+    title = f"{force.capitalize()} against {depth}, {place}"
+    return replace(lines(digest, curves, *labels, title, salt, finish=from_origin, told=told), title=place)
 
 
 BUDGETS = {

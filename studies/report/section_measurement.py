@@ -30,7 +30,7 @@ from ..verdict.formatting import (
     swept_value,
 )
 from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table
-from .plots import INK, Curve, lines, name_ticks
+from .plots import INK, Curve, from_origin, lines, name_ticks
 
 _MOST_DRAWN = 40  # quantities of a figure
 _READING = (
@@ -204,8 +204,7 @@ def _draw_measured(axes: Axes, x: Array, values: Array, bars: Array, names: list
     if names:
         name_ticks(axes, names)
     else:
-        axes.set_xlim(left=0.0)
-        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        from_origin(axes)
 
 
 _OF_INPUTS = (

@@ -119,33 +119,23 @@ def _found(limit: Limit, value: float, bar: float, shown: Callable[[float], str]
     return Cell(shown(value), bar_detail(value, bar * abs(value), shown), value)
 
 
-class _Measure(NamedTuple):
-    name: str
-    unit: str
-    definition: str
-
-
 def all_measures(digest: Digest) -> Section | None:
     """Every metric of every compared model at full load, defined, and what the reference has of its own."""
     found = {
-        name: _Measure(name, entry.unit, entry.definition)
+        name: entry
         for case in digest.cases
         for model in digest.compared
         for name, entry in case.metrics.get(model, {}).items()
     }
-    rows = [
-        row
-        for row in found.values()
-        if row.name != DRIFT and any(digest.spread(m, row.name) for m in digest.models)
-    ]
+    rows = [name for name in found if name != DRIFT and any(digest.spread(m, name) for m in digest.models)]
     if not rows:
         return None
 
     def of(model: str) -> Any:
-        return lambda row: spread_cell(digest.spread(model, row.name), row.unit)
+        return lambda name: spread_cell(digest.spread(model, name), found[name].unit)
 
     fields = [
-        Field("Measure", lambda row: Cell(measure_name(row.name), row.definition)),
+        Field("Measure", lambda name: Cell(_measure_name(name), found[name].definition)),
         *(Field(model, of(model), "#", "median") for model in digest.compared),
         Field(str(digest.reference), of(str(digest.reference)), "#", "reference"),
     ]
@@ -154,7 +144,7 @@ def all_measures(digest: Digest) -> Section | None:
     return Section("measures", "All measures at full load", [Text(note, kind="note"), table])
 
 
-def measure_name(metric: str) -> str:
+def _measure_name(metric: str) -> str:
     """A metric's name as words."""
     words = metric.replace("relative_l2_", "").replace("p95_", "95 % ").replace("_", " ")
     return words[:1].upper() + words[1:]

@@ -108,7 +108,7 @@ def load_in_words(load: float, unit: str) -> str:
     """A force in newtons, a pressure in the unit that suits it, else a share of the full load."""
     if unit == "1":
         return "the full load" if load == 1.0 else f"{load:.3g} of the full load"
-    return f"{load:.3g} N" if unit == "N" else quantity(load, unit)
+    return span([load], unit, 3)
 
 
 def span(values: Sequence[float], unit: str, digits: int = 4) -> str:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ..machine import plain
 from ..measures import uncertainty
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.warnings import scene_warnings
@@ -249,16 +250,8 @@ class Verdicts(Mapping[str, Verdict]):
 
     def as_data(self) -> dict[str, Any]:
         """As plain data, None where a number is not known: `verdicts` by family, the rest in `judgement`."""
-        data: dict[str, Any] = _plain(dataclasses.asdict(self))
+        data = {part.name: plain(getattr(self, part.name)) for part in dataclasses.fields(self)}
         return {"verdicts": data.pop("families"), "judgement": data}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @lru_cache(maxsize=1)  # page, terminal and notebook show one run

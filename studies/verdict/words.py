@@ -128,9 +128,6 @@ def _templates() -> Any:
 def _loads(ends: Iterable[float], unit: str) -> str:
     """`0.1 to 0.4 N`."""
     least, most = ends
-    if least == most:
-        return f.load_in_words(most, unit)
-    if unit == "1":
+    if unit == "1" and least < most:
         return f"{least:.3g} to {most:.3g} of the full load"
-    last = f.load_in_words(most, unit)
-    return f"{least:.3g} to {last}" if unit == "N" else f"{f.load_in_words(least, unit)} to {last}"
+    return f.span([least, most], unit, 3) if unit != "1" else f.load_in_words(most, unit)

@@ -6,18 +6,16 @@ import re
 
 from tests.report.runs import make_case, make_run
 from vdmbench.report.blocks import Figures
-from vdmbench.report.plots import Plot, percent_axis, tell
+from vdmbench.report.plots import Curve, lines, percent_axis
 from vdmbench.report.section_charts import error_against_parameters
 from vdmbench.verdict.digest import Digest
 
 
 def test_a_curve_tells_the_script_whose_points_it_has_and_on_which_axes() -> None:
-    plot = Plot("x", "y", "s")
-    with plot as axes:
-        (curve,) = axes.plot([1.0, 2.0], [0.1, 0.2], marker="o")
-        tell(curve, 'a "b" <c>', [4, 7])
-        percent_axis(axes, [0.1, 0.2])
-    svg = plot.drawn("")
+    name = 'a "b" <c>'
+    digest = Digest(make_run([make_case({name: 0.1}, subdivisions=0)]))
+    curve = Curve(name, [1.0, 2.0], [0.1, 0.2], [4, 7])
+    svg = lines(digest, [curve], "x", "y", "", "s", finish=lambda axes: percent_axis(axes, [0.1, 0.2])).svg
     assert 'data-told="a%20%22b%22%20%3Cc%3E 4,7"' in svg
     assert re.search(r'data-x="linear [\d.]+ [\d.]+ [\d.]+ [\d.]+ "', svg)
     assert re.search(r'data-y="linear 0 0.216 [\d.]+ [\d.]+ %"', svg)
