@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar
 
 from markupsafe import Markup
@@ -12,6 +13,7 @@ from markupsafe import Markup
 from ..measures.uncertainty import is_resolved
 from ..verdict.digest import Spread
 from ..verdict.formatting import NOT_MEASURED, NOTHING, number, of_unit, percent
+from ..verdict.words import said
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,14 @@ class Text:
     template: ClassVar[str] = "text"
     text: str
     kind: str = "plain"
+
+
+_NOTES = Path(__file__).parent / "templates" / "notes.txt"
+
+
+def note(macro: str, *about: Any) -> Text:
+    """Small print: what a macro of `templates/notes.txt` says."""
+    return Text(" ".join(said(macro, *about, file=_NOTES)), kind="note")
 
 
 @dataclass(frozen=True)

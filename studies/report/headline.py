@@ -22,8 +22,7 @@ from ..verdict.formatting import (
 )
 from ..verdict.verdict import Limit, Verdicts, verdicts
 from ..verdict.words import TITLES, said, told, why_not
-from .blocks import Cell, Field, Section, Table, Text, frame_table, spread_cell
-from .section_charts import time_notes
+from .blocks import Cell, Field, Section, Table, frame_table, note, spread_cell
 from .section_tables import stopped_models
 
 TONES = {"yes": "good", "no": "bad", "not judged": "muted"}
@@ -109,9 +108,11 @@ def headline(digest: Digest) -> Section | None:
     """Every model with the measures that lead, and what it costs."""
     if not digest.cases:
         return None
-    return Section(
-        "headline", "How far off, and at what cost", [_table(digest), Text(_reading(digest), kind="note")]
+    along_normals = any(math.isfinite(digest.floor(name)) for name in digest.models)
+    small_print = note(
+        "headline", len(digest.cases), bool(digest.compared), along_normals, list(digest.costs.values())
     )
+    return Section("headline", "How far off, and at what cost", [_table(digest), small_print])
 
 
 def _table(digest: Digest) -> Table:
@@ -160,28 +161,6 @@ def _time(digest: Digest, name: str, seconds: float, *, frame: bool = False) -> 
     cost, everywhere = digest.costs[name], digest.costs[name].everywhere
     how = [f"{quantity(everywhere, 's')} all nodes"] if frame and math.isfinite(everywhere) else []
     return Cell(quantity(seconds, "s"), "\n".join([*how, *cost.marks]), seconds)
-
-
-def _reading(digest: Digest) -> str:
-    parts = [
-        f"All figures at full load, over {plural(len(digest.cases), 'case')}: medians, and the worst case."
-    ]
-    if digest.compared:
-        parts.append(
-            "An error is the area-weighted L2 norm of the difference over that of the reference. The error in "
-            "change of shape leaves out the rigid motion. ± is the reference's own error; a difference is resolved "
-            "where that is at most a tenth of it."
-        )
-    if any(math.isfinite(digest.floor(name)) for name in digest.models):
-        parts.append(
-            "A form that moves nodes along normals predicts the normal component alone. The floor is the "
-            "displacement error of the reference itself, moved so: no such form is closer."
-        )
-    parts.append(
-        "Volume drift is the change of the enclosed volume. A linear answer adds some in second order; elements "
-        "add the tissue's compression and what flat facets leave out: read it beside the reference's own."
-    )
-    return " ".join([*parts, *time_notes(digest.costs.values())])
 
 
 # --- for a terminal and for programs ---

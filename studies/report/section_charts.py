@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,9 +17,9 @@ from ..measures.frame import at_full_load
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..measures.pushed import Answer, Pushed
 from ..verdict.acceptance import name_of, pushes
-from ..verdict.digest import DRIFT, ELSEWHERE, ONCE, REFERENCE, Cost, Digest
-from ..verdict.formatting import listed, parameter_name, quantity, scale_of, short_percent, swept_value
-from .blocks import Block, Figure, Figures, Section, Text
+from ..verdict.digest import DRIFT, REFERENCE, Digest
+from ..verdict.formatting import parameter_name, quantity, scale_of, short_percent, swept_value
+from .blocks import Block, Figure, Figures, Section, note
 from .plots import (
     Curve,
     budget_line,
@@ -67,35 +67,30 @@ def error_against_parameters(digest: Digest) -> Section | None:
         return None
     rows = _rows(digest, at_full_load(digest.table))
     blocks: list[Block] = []
-    flat, notes = [], []
+    flat, orders, strides = [], list[str](), {}
     for k, key in enumerate(digest.swept_keys):
         axis = _axis(digest, key)
         if _is_flat(rows, [other for other in digest.swept_keys if other != key]):
             flat.append(axis.name)
         elif figures := _charts(digest, rows, axis, f"p{k}"):
             blocks.append(Figures(figures, digest.legend))
-            if key == MESH_SIZE and (told := _orders(digest, rows)):
-                notes.append(f"Observed order of the displacement error in the mesh size: {told}.")
+            orders = orders or (_orders(digest, rows) if key == MESH_SIZE else [])
             if (step := _stride(axis)) > 1:
-                notes.append(f"Of {axis.name} one value in {step} is drawn, to keep the page small.")
-    if blocks and len(digest.swept_keys) > 1:
-        notes.insert(0, "Medians over the cases that share a value, and their range, at full load.")
-    if flat:
-        notes.insert(0, f"No error depends on {listed(flat)}: models and reference are linear in it.")
-    if notes:
-        blocks.insert(0, Text(" ".join(notes), kind="note"))
+                strides[axis.name] = step
+    small_print = note("parameters", flat, blocks and len(digest.swept_keys) > 1, orders, strides)
+    blocks = [*([small_print] if small_print.text else []), *blocks]
     return Section("parameters", "Error against each swept parameter", blocks) if blocks else None
 
 
-def _orders(digest: Digest, rows: DataFrame) -> str:
-    """The slope of each model's median error against the mesh size, both logarithmic; "" of one size."""
+def _orders(digest: Digest, rows: DataFrame) -> list[str]:
+    """The slope of each model's median error against the mesh size, both logarithmic; none of one size."""
     found = []
     for model in digest.compared:
         mine = rows[(rows["model"] == model) & (rows["metric"] == VECTOR) & (rows["value"] > 0.0)]
         at = mine.groupby(MESH_SIZE)["value"].median()
         if len(at) > 1:
             found.append(f"{model} {np.polyfit(np.log(at.index), np.log(at), 1)[0]:.2f}")
-    return listed(found)
+    return found
 
 
 def error_against_load(digest: Digest) -> Section | None:
@@ -106,21 +101,15 @@ def error_against_load(digest: Digest) -> Section | None:
     axis = _Axis(
         "load_factor", "load", "load factor", "linear", {x: x for x in loaded["load_factor"].unique()}
     )
-    rows, notes, figures = _rows(digest, loaded), [], []
-    if not rows.empty and _is_flat(rows, ["case"]):
-        notes.append("No error depends on the load: models and reference are linear.")
-    else:
-        figures += _charts(digest, rows, axis, "l")
+    rows = _rows(digest, loaded)
+    flat = not rows.empty and _is_flat(rows, ["case"])
+    figures = [] if flat else _charts(digest, rows, axis, "l")
     drift = loaded[loaded["metric"] == DRIFT]
     drift = drift.assign(value=drift["value"].abs().clip(lower=_DRIFT_FLOOR), bar=math.nan)
     figures += _charts(digest, drift, axis, "v", {DRIFT: "Volume drift"})
-    if figures and len(digest.cases) > 1:
-        notes.append("Lines are medians over the cases. Bands reach from the best case to the worst.")
-    if figures:
-        notes.append("The reference's volume drifts too: no model can be told to keep it better than that.")
-    blocks: list[Block] = [Text(" ".join(notes), kind="note")]
+    blocks: list[Block] = [note("load", flat, figures, len(digest.cases))]
     blocks += [Figures(figures, digest.legend)] if figures else []
-    return Section("load", "Error against load", blocks) if notes else None
+    return Section("load", "Error against load", blocks) if flat or figures else None
 
 
 def _rows(digest: Digest, table: DataFrame) -> DataFrame:
@@ -221,25 +210,11 @@ def _chart(
     return lines(digest, curves, axis.label, title, f"{title} against {axis.name}", salt, finish=finish)
 
 
-_CONTACT_NOTE = (
-    "The force of a contact is given; the indentation is the answer. It is the largest displacement of a node in "
-    "contact, inwards along the normal of the body at rest. It is negative where the nodes are pulled out."
-)
-_MOVED_NOTE = (
-    "A region is moved by a given amount; the force is the answer. It is the sum of the reactions of its nodes, "
-    "along the movement. A model that is too stiff lies above the reference."
-)
-_INDENTER_NOTE = (
-    "A rigid indenter is pushed in by a given depth; its force along the push is the answer. A "
-    "model that is too stiff lies above the reference."
-)
-_WEIGHT_NOTE = "The body's weight acts without load too: no curve starts at the origin."
-
 # kind of a constraint -> what its depth and its force are called
 _KINDS = {
-    "contact": ("indentation", "contact force", _CONTACT_NOTE),
-    "indenter": ("depth", "indenter force", _INDENTER_NOTE),
-    "constrained": ("prescribed displacement", "reaction force", _MOVED_NOTE),
+    "contact": ("indentation", "contact force"),
+    "indenter": ("depth", "indenter force"),
+    "constrained": ("prescribed displacement", "reaction force"),
 }
 
 
@@ -250,7 +225,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
         return None
     title = f"{digest.case_name(case)}{f' ({role})' if role else ''}"
     figures: list[Figure] = []
-    notes: dict[str, None] = {}
+    kinds: dict[str, None] = {}
     for pushed in pushes(case, digest.surfaces[case.hash]):
         curves = {
             name: np.array(pushed.curve(Answer.of(case.models[name])))
@@ -261,20 +236,22 @@ def force_against_indentation(digest: Digest) -> Section | None:
         if known := {name: curve for name, curve in known.items() if curve.size}:
             place = ", ".join(filter(None, [name_of(pushed.constraint), title]))
             figures.append(_force_chart(digest, case, pushed, known, place, f"f{len(figures)}"))
-            notes[_KINDS[pushed.constraint.kind][2]] = None
+            kinds[pushed.constraint.kind] = None
     if not figures:
         return None
-    if case.study.gravity is not None and any(case.study.gravity.acceleration):
-        notes[_WEIGHT_NOTE] = None
-    blocks: list[Block] = [Text(" ".join(notes), kind="note"), Figures(figures, digest.legend)]
-    return Section("force", "Force against indentation", blocks)
+    weighs = case.study.gravity is not None and any(case.study.gravity.acceleration)
+    return Section(
+        "force",
+        "Force against indentation",
+        [note("force", list(kinds), weighs), Figures(figures, digest.legend)],
+    )
 
 
 def _force_chart(
     digest: Digest, case: CaseResult, pushed: Pushed, known: Mapping[str, Array], place: str, salt: str
 ) -> Figure:
     """`known` has (2, K) depths [m] and forces [N], or pressures [Pa], of the models that tell them."""
-    depth, force, _ = _KINDS[pushed.constraint.kind]
+    depth, force = _KINDS[pushed.constraint.kind]
     force = "contact pressure" if pushed.unit == "Pa" else force
     every = np.concatenate(list(known.values()), axis=1)
     (length, length_unit), (load, load_unit) = map(scale_of, ("m", pushed.unit), every)
@@ -310,26 +287,8 @@ def run_time_against_error(digest: Digest) -> Section | None:
     ]
     if not figures:
         return None
-    note = (
-        "Further left is faster; lower is closer. A filled mark is a frame of the contact, factors kept, measured "
-        "when the run ended, all models in turns, as vdmbench bench does. The hollow mark at the end of its dotted "
-        "line is the set-up, which is paid once. Dashed up the chart is the reference's frame."
-    )
-    if len(digest.cases) > 1:
-        note += " Marks are medians over the cases. Whiskers reach from the best case to the worst."
-    blocks: list[Block] = [Text(note, kind="note"), Figures(figures, digest.legend)]
+    blocks: list[Block] = [note("cost", len(digest.cases)), Figures(figures, digest.legend)]
     return Section("cost", "Run time against error", blocks)
-
-
-def time_notes(costs: Iterable[Cost]) -> list[str]:
-    """What stands beside times that are not simply those of a solve in this run."""
-    found = list(costs)
-    notes = {
-        ELSEWHERE: "compare with times of that machine only",
-        ONCE: "not measured in turns with the others; a busy machine, or factors not kept, make it longer",
-    }
-    told = [f"{mark}, {note}" for mark, note in notes.items() if any(mark in cost.marks for cost in found)]
-    return [f"Beside a time: {'; '.join(told)}."] if told else []
 
 
 def _pareto(

@@ -23,23 +23,15 @@ from ..verdict.formatting import (
     listed,
     percent,
     plain,
-    plural,
     quantity,
     scale_of,
     short_percent,
     swept_value,
 )
-from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table
+from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table, note
 from .plots import INK, Curve, from_origin, lines, name_ticks
 
 _MOST_DRAWN = 40  # quantities of a figure
-_READING = (
-    "E is the answer of a model less what was measured. ± is the validation uncertainty u_val (ASME V&V 20-2009), "
-    "√(u_num² + u_input² + u_D²). Where |E| is at most u_val, model and measurement agree as far as anybody can "
-    "tell. Where it is larger, at least |E| − u_val is an error of the model, or of what u_val leaves out. Each "
-    "part is told by its root mean square. u_num is known of the reference alone, from its mesh levels; u_input is "
-    "what comes of not knowing the inputs better than [inputs] says. Where a part is not known, u_val is too small."
-)
 
 
 def against_measurement(digest: Digest) -> Section | None:
@@ -55,7 +47,7 @@ def against_measurement(digest: Digest) -> Section | None:
         blocks.append(_details(case, found, number, " or ".join(units)))
     if not blocks:
         return None
-    return Section("measurement", "Against measurement", [*blocks, Text(_READING, kind="note")])
+    return Section("measurement", "Against measurement", [*blocks, note("measurement")])
 
 
 def _sentence(found: Measurement, name: str) -> str:
@@ -207,17 +199,6 @@ def _draw_measured(axes: Axes, x: Array, values: Array, bars: Array, names: list
         from_origin(axes)
 
 
-_OF_INPUTS = (
-    "Each share is a standard deviation over the displacement, area-weighted, at full load. {how} {variations} of "
-    "each case were computed. The error of a model is its displacement error against the reference. An error below "
-    "what is not known of the inputs cannot be told from another tissue."
-)
-_HOW = {
-    "sensitivities": "It is from the answers with one input at a time higher and lower, so of first order.",
-    "sampling": "It is the spread of the answers to random values of all inputs.",
-}
-
-
 def inputs(digest: Digest) -> Section | None:
     """The first case that tells how well its inputs are known, a key case if there is one; None where none does."""
     cases = [*(case for _, case in digest.key_cases), *digest.cases]
@@ -225,20 +206,12 @@ def inputs(digest: Digest) -> Section | None:
     if case is None or (first := case.inputs) is None:
         return None
     caption = digest.case_name(case) if len(digest.cases) > 1 else ""
-    blocks: list[Block] = [_table(digest, case, first, "inputs", caption)]
-    notes = [_OF_INPUTS.format(how=_HOW[first.method], variations=plural(first.variations, "variation"))]
-    if any(model.bend > STRAIGHT for model in first.models.values()):
-        notes.append(
-            'An answer bends with an input, so this is rough: inputs.method = "sampling" does better.'
-        )
-    if still := _moves_nothing(first):
-        notes.append(
-            f"A region takes whole nodes, and {listed(still)} moves none of this mesh: "
-            "a smaller mesh_size resolves it."
-        )
-    return Section(
-        "inputs", "What is not known of the inputs", [*blocks, *(Text(note, kind="note") for note in notes)]
-    )
+    bent = any(model.bend > STRAIGHT for model in first.models.values())
+    blocks: list[Block] = [
+        _table(digest, case, first, "inputs", caption),
+        note("inputs", first, bent, _moves_nothing(first)),
+    ]
+    return Section("inputs", "What is not known of the inputs", blocks)
 
 
 def _moves_nothing(spread: InputSpread) -> list[str]:

@@ -17,7 +17,6 @@ from ..verdict.digest import DRIFT, Digest, failed_steps
 from ..verdict.formatting import (
     NOTHING,
     first_of,
-    listed,
     parameter_name,
     percent,
     plain,
@@ -28,7 +27,7 @@ from ..verdict.formatting import (
 )
 from ..verdict.verdict import Verdict, verdicts
 from ..verdict.words import TITLES
-from .blocks import Block, Cell, Code, Facts, Field, Section, Text, bar_detail, frame_table, spread_cell
+from .blocks import Block, Cell, Code, Facts, Field, Section, Text, bar_detail, frame_table, note, spread_cell
 
 _WHY = {
     "unresolved": "unresolved: a finer mesh does not bear it out",
@@ -36,19 +35,6 @@ _WHY = {
     "model-stopped": "the model has no solution beyond",
     "reference-stopped": "the reference has no solution beyond",
 }
-_READING = (
-    "Raised: {raised}. The structural error is the displacement error at a small load. A limit is the load at "
-    "which the error has grown from there by the threshold. For fem-linear it is the linearisation limit: "
-    "there small-strain theory departs from finite strain on the same mesh. Indentation is the mean "
-    "displacement along the contact force, weighted by it. The strain is the reference's principal "
-    "Green-Lagrange strain that 95 % of the volume stays below; the paper speaks of less than 10 %. Below it "
-    "stands the largest of any point: local, at the rim of the contact or of the support, it grows with each "
-    "finer mesh. Figures with a bar are of a mesh with every tetrahedron split into eight. A bar is what that "
-    "changes, and the {close} of the threshold that the search leaves open: for a load relative, for the "
-    "others in their unit and with the load's bar counted in. A limit is unresolved where the finer mesh has "
-    "none; its figures are then of the case's mesh. A search ends at {largest:g} times the study's load, and "
-    "at a largest strain of {strain}."
-)
 
 
 class _Row(NamedTuple):
@@ -97,9 +83,8 @@ def small_strain_limits(digest: Digest) -> Section | None:
         Field("Largest strain", lambda row: row.limit.largest_strain, "1", "of any point"),
     ]
     table = frame_table(rows, fields, "limits", mark=lambda row: digest.mark(row.model))
-    about = {"close": short_percent(CLOSE), "largest": LARGEST, "strain": short_percent(MOST_STRAIN)}
-    note = Text(_READING.format(raised=listed(sorted(raised)), **about), kind="note")
-    return Section("limits", "Small-strain limits", [table, note])
+    small_print = note("limits", sorted(raised), CLOSE, LARGEST, MOST_STRAIN)
+    return Section("limits", "Small-strain limits", [table, small_print])
 
 
 def _load(limit: Limit, unit: str) -> Cell:
@@ -139,9 +124,8 @@ def all_measures(digest: Digest) -> Section | None:
         *(Field(model, of(model), "#", "median") for model in digest.compared),
         Field(str(digest.reference), of(str(digest.reference)), "#", "reference"),
     ]
-    note = "± is the error of the reference itself, where it was measured. The last column is the reference alone."
     table = frame_table(rows, fields, "measures")
-    return Section("measures", "All measures at full load", [Text(note, kind="note"), table])
+    return Section("measures", "All measures at full load", [note("measures"), table])
 
 
 def _measure_name(metric: str) -> str:
@@ -182,15 +166,10 @@ def case_table(digest: Digest) -> Section | None:
     order = sorted(range(len(sizes)), key=lambda k: -abs(sizes[k]) if math.isfinite(sizes[k]) else -math.inf)
     ranked = [digest.cases[k] for k in order]
     rows = ranked[: max(_OPEN_ROWS, _MOST_CELLS // len(fields))]
-    note = "Errors at full load."
-    if digest.unreached:
-        note += " Where the reference ends before, at the load factor that stands beside them."
-    if len(digest.cases) > 1 and digest.focus and digest.compared:
-        note += f" The largest displacement error of {digest.focus} comes first."
-    if len(rows) < len(ranked):
-        note += f" Only the first {len(rows)} of {len(ranked)} are listed, to keep the page small."
+    first = digest.focus if digest.compared else None
+    small_print = note("cases", digest.unreached, first, len(rows), len(ranked))
     table = frame_table(rows, fields, "cases", open_rows=_OPEN_ROWS)
-    return Section("cases", "Cases", [Text(note, kind="note"), table])
+    return Section("cases", "Cases", [small_print, table])
 
 
 def _swept(digest: Digest, key: str) -> Field:
@@ -320,11 +299,7 @@ def how_to_reproduce(digest: Digest) -> Section:
             "from the stored results."
         ),
         Code("\n".join(shlex.join(["vdmbench", *words]) for words in commands)),
-        Text(
-            "Every number on this page comes from the case files in the run directory, cases/<hash>.vtkhdf. "
-            "ParaView opens them too. study.h5 and metrics.csv hold all metrics of all cases.",
-            kind="note",
-        ),
+        note("files"),
     ]
     if digest.run.study_text.strip():
         instead = ", whose geometry --surface replaced" if "--surface" in words else ""

@@ -18,8 +18,8 @@ from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
-from ..verdict.formatting import capital, listed, plain, quantity
-from .blocks import Section, Still, Text, Viewer
+from ..verdict.formatting import capital, plain, quantity
+from .blocks import Section, Still, Viewer, note
 from .picture import COLOUR_MAPS, Panel, still_of
 from .scene_picture import KINDS, Stage
 from .section_scene import parts_of
@@ -37,7 +37,8 @@ def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
         return
     pictures = [_still(digest, role, case) for role, case in digest.key_cases] if stills else []
     shown = [picture for picture in pictures if picture is not None]
-    intro = Text(_introduction(digest), kind="note")
+    roles = [role for role, _ in digest.key_cases]
+    intro = note("surface", roles, len(digest.cases), digest.focus, bool(digest.compared))
     for view in views(digest):
         notes = [f"To keep the page small, the viewer has {view.leaves_out}"] if view.leaves_out else []
         viewer = Viewer(payload(view, digest), shown, notes)
@@ -48,14 +49,6 @@ def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
 def _still(digest: Digest, role: str, case: CaseResult) -> Still | None:
     panels, words = still(digest, case)
     return still_of(panels, digest.title(role, case), words) if panels else None
-
-
-def _introduction(digest: Digest) -> str:
-    roles = [role for role, _ in digest.key_cases]
-    if len(roles) == 1:
-        return ""
-    which = f"The {listed(roles)} of {len(digest.cases)} cases, by the"
-    return f"{which} displacement error of {digest.focus}." if digest.compared else f"{which} displacement."
 
 
 def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:

@@ -92,16 +92,19 @@ def why_not(one: Verdict) -> list[str]:
     return [text for reason in one.why_not for text in said("why", reason)]
 
 
-def said(macro: str, *about: Any) -> list[str]:
-    """The sentences of a template, one from each of its lines."""
-    lines = str(getattr(_templates(), macro)(*about)).split("\n")
+_WORDS = Path(__file__).with_suffix(".txt")
+
+
+def said(macro: str, *about: Any, file: Path = _WORDS) -> list[str]:
+    """The sentences of a macro of a file, one from each of its lines."""
+    lines = str(getattr(_templates(file), macro)(*about)).split("\n")
     return [" ".join(line.split()) for line in lines if line.strip()]
 
 
 @cache
-def _templates() -> Any:
+def _templates(file: Path) -> Any:
     environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
+        loader=FileSystemLoader(file.parent),
         autoescape=False,  # these are texts: whoever puts them into a page escapes them
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -122,7 +125,7 @@ def _templates() -> Any:
         "load": f.load_in_words,
         "loads": _loads,
     }
-    return environment.get_template("words.txt").module
+    return environment.get_template(file.name).module
 
 
 def _loads(ends: Iterable[float], unit: str) -> str:

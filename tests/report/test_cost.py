@@ -9,8 +9,8 @@ import pytest
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
 from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
+from vdmbench.report.blocks import note
 from vdmbench.report.headline import _table, headline_metrics
-from vdmbench.report.section_charts import time_notes
 from vdmbench.scene.result import FrameTimes
 from vdmbench.verdict.digest import ELSEWHERE, ONCE, Digest
 
@@ -42,7 +42,7 @@ def test_times_say_when_where_and_how(case: CaseResult, marks: list[str], of_ref
         for time in ("seconds_setup", "seconds_per_step"):
             assert headline_metrics(shown)[name][time]["measured"] == expected
         assert ("another machine" in rows[name]) == (ELSEWHERE in expected)
-    told = " ".join(time_notes(Digest(shown).costs.values()))
+    told = note("times", list(Digest(shown).costs.values())).text
     assert ("another machine, compare" in told) == (ELSEWHERE in [*marks, *of_reference])
 
 
