@@ -47,13 +47,13 @@ def test_a_cut_body_is_drawn_with_the_rotation_and_strain_of_each_part() -> None
 
 
 def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
-    """The base ends at z = -0.7 R, where the ball is 71 mm across."""
+    """The base ends at z = -0.7 R of a ball of 100 mm."""
     cases = [told("a", 0.45, 0.05), told("b", 0.4999, 0.2)]
     assert dict(scene_words(cases[0], cases)) == {
         "Tissue": "Young's modulus 5 kPa, Poisson ratio 0.45 to 0.4999",
         "Body": "sphere, 100 × 100 × 100 mm",
         "Mesh": "162 surface nodes, 9 mm apart",
-        "Support": "base, 23 nodes, 71 mm across",
+        "Support": "base, 23 nodes, 73 mm across",
         "Contact": "finger, 0.1 to 0.4 N, hertz pressure, 7 nodes, 31 mm across",
     }
     scan = told("d", 0.45, 0.05, geometry={"shape": "file", "path": "/of/a/patient.obj", "mesh_size": 0.009})
