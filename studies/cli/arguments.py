@@ -104,29 +104,19 @@ def place(text: str) -> Path:
     return Path(text)
 
 
-def change(text: str) -> str:
-    """KEY=VALUE that is TOML, or becomes so where VALUE is quoted."""
-    from ..study.files import changes_of
+def _number(pattern: str, kind: Callable[[str], Any], told: str) -> Callable[[str], Any]:
+    """What reads a number above 0 that is written as a pattern has it."""
 
-    try:
-        changes_of(text)
-    except InputError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
-    return text
+    def read(text: str) -> Any:
+        if re.fullmatch(pattern, text) is None or not (number := kind(f"0{text}")) > 0:
+            raise argparse.ArgumentTypeError(f"must be {told}, not {text!r}")
+        return number
 
-
-def positive(text: str) -> int:
-    """A whole number of 1 or more."""
-    if re.fullmatch(r"[0-9]{1,6}", text) is None or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"must be a whole number of 1 or more, not {text!r}")
-    return int(text)
+    return read
 
 
-def positive_seconds(text: str) -> float:
-    """A number of seconds."""
-    if re.fullmatch(r"[0-9]{0,9}(\.[0-9]*)?", text) is None or not float(f"0{text}") > 0:
-        raise argparse.ArgumentTypeError(f"must be a number of seconds of more than 0, not {text!r}")
-    return float(text)
+positive = _number(r"[0-9]{1,6}", int, "a whole number of 1 or more")
+positive_seconds = _number(r"[0-9]{0,9}(\.[0-9]*)?", float, "a number of seconds of more than 0")
 
 
 def size_in_bytes(text: str) -> int:
@@ -186,7 +176,6 @@ STUDY_READS = (
 CHANGES = option(
     "--set",
     dest="changes",
-    type=change,
     action="append",
     default=[],
     metavar="KEY=VALUE",
