@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_twice, unknown
 from .fields import unit_of
-from .kinds import Table, given, safe_name
+from .kinds import Table, given
 from .measured import Measured, same_load
 from .registry import BROKEN, DISPLACEMENT_ELEMENTS, RENAMED, find, is_surface, model_names, reads, split
 from .schema import (
@@ -290,31 +290,18 @@ _ONE_OF = "below, above, ball, box, cap, group, all, any, not, cavity"
 def _check_regions(study: Study) -> Iterator[Finding]:
     regions = study.regions
     for name, region in regions.items():
-        try:
-            safe_name(name)
-        except ValueError as error:
-            yield ("regions", name), str(error)
         for loc, part in _inside(region, ("regions", name)):
             yield from _check_region(part, loc, regions)
+            if part.group is not None and not _has_groups(study.geometry):
+                text = "only a MSH file has named groups of nodes; say where the region is instead"
+                yield (*loc, "group"), text
         if name in _reached(name, regions):
             yield ("regions", name), "refers to itself, directly or through other regions"
-    yield from _check_groups(study)
     yield from _check_coordinates(study)
 
 
-def _check_groups(study: Study) -> Iterator[Finding]:
-    """Named groups of nodes where the body has none."""
-    if isinstance(study.geometry, FileBody) and study.geometry.suffix == ".msh":
-        return
-    for name, region in study.regions.items():
-        for loc, part in _inside(region, ("regions", name)):
-            if part.group is not None:
-                text = "only a MSH file has named groups of nodes; say where the region is instead"
-                yield (*loc, "group"), text
-    for place, inclusion in enumerate(study.inclusions or ()):
-        if inclusion.group is not None:
-            text = "only a MSH file has named groups; give a ball or a box instead"
-            yield ("inclusions", place, "group"), text
+def _has_groups(geometry: Geometry) -> bool:
+    return isinstance(geometry, FileBody) and geometry.suffix == ".msh"
 
 
 def _check_coordinates(study: Study) -> Iterator[Finding]:
@@ -401,6 +388,8 @@ def _check_inclusions(study: Study) -> Iterator[Finding]:
         if len(present) != 1:
             yield loc, f"give exactly one of ball, box, group{f', not {listed(present)}' if present else ''}"
         yield from _check_box(part.box, (*loc, "box"))
+        if part.group is not None and not _has_groups(study.geometry):
+            yield (*loc, "group"), "only a MSH file has named groups; give a ball or a box instead"
         if part.poisson_ratio is not None and min(part.poisson_ratio, study.tissue.poisson_ratio) <= 0.0:
             text = "where ratios differ each must be above 0; leave it out, or give others"
             yield (*loc, "poisson_ratio"), text

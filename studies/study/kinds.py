@@ -257,7 +257,7 @@ class Table(BaseModel):
 
     @classmethod
     def _fault(cls, details: ErrorDetails) -> InitErrorDetails:
-        loc = tuple(part for part in details["loc"] if part not in ("<name>", "<table>"))
+        loc = tuple(part for part in details["loc"] if part not in ("<name>", "<table>", "[key]"))
         told = PydanticCustomError("told", "{text}", {"text": cls._sentence(loc, details)})
         return InitErrorDetails(type=told, loc=loc, input=None)
 

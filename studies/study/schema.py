@@ -522,7 +522,7 @@ class Study(Table):
         None, description="parts of the inside with moduli of their own", strict=False, max_length=MOST_NAMES
     )
     vdm: VdmTable = Field(VdmTable(), description="parameters of the VDM models")
-    regions: dict[str, Region] = Field({}, description="named sets of surface nodes", max_length=MOST_NAMES)
+    regions: dict[Name, Region] = Field({}, description="named sets of surface nodes", max_length=MOST_NAMES)
     constraints: tuple[SerializeAsAny[Constraint], ...] = Field(
         (), description="what holds and loads the body", strict=False, max_length=MOST_NAMES
     )
