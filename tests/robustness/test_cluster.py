@@ -26,6 +26,8 @@ from tools.documents import ROOT
 from vdmbench.store.cases import read_case
 from vdmbench.work.cluster import LOOPBACK, AddressError, ClusterError, checked_address, cluster_pool, refusal
 
+from . import processes
+
 OF_RATIOS = 1e-12  # some metrics are differences of numbers near one, which agree to 1e-13 or so
 COMPLETE = "cases/[!.]*"  # a file that is being written begins with a dot
 NEAR_ZERO_PATIENCE = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1s"}
@@ -155,8 +157,9 @@ def test_a_killed_worker_costs_a_retry_and_ctrl_c_keeps_what_is_done(
     assert not list(run.glob(".cluster*"))
     kept = {path: path.stat().st_mtime_ns for path in run.glob(COMPLETE)}
     assert kept
-    result = vdmbench_process("run", study, "--out", "run", "--scheduler", scheduler, cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
+    again = processes.start("run", str(study), "--out", "run", "--scheduler", scheduler, cwd=tmp_path)
+    said = processes.output_of(again)
+    assert again.returncode == 0, said
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     _assert_same_cases(run, local_run)
 
