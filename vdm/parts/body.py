@@ -387,7 +387,7 @@ class Parts:
                 at = dofs(part.places)
                 matrix[np.ix_(at, at)] += _turned_block(part.carried, q)
         if len(matrix):
-            self._factor = DenseFactor(matrix)
+            self._factor = DenseFactor(matrix, few=True)
         self._turns = turns
         return turns
 

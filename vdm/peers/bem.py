@@ -351,7 +351,8 @@ def too_large(n_nodes: int) -> Status:
 class DenseFactor:
     """Cholesky factor of a symmetric positive definite dense matrix; of up to `INVERTED` unknowns its inverse.
 
-    A frame reads half of an inverse once and half of a factor twice, one after the other.
+    A frame reads half of an inverse once and half of a factor twice, one after the other. An inverse takes twice as
+    long to make as a factor: `few` solutions are not worth it.
 
     Raises
     ------
@@ -359,7 +360,7 @@ class DenseFactor:
         a matrix that is not positive definite.
     """
 
-    def __init__(self, matrix: Array) -> None:
+    def __init__(self, matrix: Array, *, few: bool = False) -> None:
         try:
             # a symmetric matrix is its own transpose, which is in the order that LAPACK works in place with
             self._factor = linalg.cho_factor(matrix.T, lower=True, overwrite_a=True, check_finite=False)[0]
@@ -369,7 +370,7 @@ class DenseFactor:
         if diagonal.min() < PIVOT_TOLERANCE * diagonal.max():
             raise SolverError(INDEFINITE)
         self._inverse: Array | None = None
-        if len(matrix) <= INVERTED:
+        if len(matrix) <= INVERTED and not few:
             self._inverse = lapack.dpotri(self._factor, lower=1, overwrite_c=1)[0]
 
     def solve(self, right_hand_side: Array) -> Array:

@@ -19,7 +19,7 @@ from vdm.solvers.linear import BorderedFactor
 MAX_ITERATIONS = 60
 HISTORY = 10
 FURTHEST = 3.0  # sizes of the body
-LONGEST = 0.1  # of that way: a correction by the state's own slope goes no further at once
+LONGEST = 0.05  # of that way: a correction by the state's own slope goes no further at once
 SMALLEST_SUBSTEP = 1.0 / 64.0
 # of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
 AS_ONE = 0.3
