@@ -289,10 +289,12 @@ def test_the_commands_and_their_exit_codes(tmp_path: Path) -> None:
         baseline.write_text(json.dumps(data))
         code, told = gated()
         assert (code, word in told) == (expected, True), told
+        assert gated("--allow-missing")[0] == (0 if word == "--allow-missing" else expected)
     baseline.write_text(whole)
     next((tmp_path / run / "cases").iterdir()).unlink()
-    code, told = gated()
+    code, told = gated("--junit", "out.xml")
     assert (code, "the run has not got to it" in told) == (6, True)
+    assert 'failures="1"' in (tmp_path / "out.xml").read_text()
 
 
 def _case(data: dict[str, dict[str, dict[str, dict[str, float]]]]) -> dict[str, dict[str, float]]:

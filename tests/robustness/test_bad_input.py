@@ -7,7 +7,6 @@ need real processes: `tests/work/test_pool.py` and `test_memory_limit`.
 from __future__ import annotations
 
 import errno
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -44,14 +43,6 @@ def _failure_cut(directory: Path) -> None:
     path.write_text("{}")
 
 
-def _foreign_baseline(directory: Path) -> None:
-    """Of a study of another body: nothing can be compared."""
-    vdmbench("accept", RUN, "--reason", "a test", "--baseline", "b.json", cwd=directory)
-    data = json.loads((directory / "b.json").read_text())
-    data["study"] = "another"
-    (directory / "b.json").write_text(json.dumps(data))
-
-
 # what spoils a directory with a run: how, what to call, the exit code, a part of what is said
 DAMAGE: dict[str, tuple[Callable[[Path], object], str, int, str]] = {
     "newer schema": (
@@ -67,14 +58,6 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str, int, str]] = {
     ),
     "damaged failure": (
         _failure_cut, f"report {RUN}", 5, "damaged ('hash' is not there); delete it and run again",
-    ),
-    "no baseline": (
-        lambda _: None, f"gate {RUN}", 6, "no such baseline; make one with: vdmbench accept",
-    ),
-    "baseline of another study": (_foreign_baseline, f"gate {RUN} --baseline b.json", 2, "another"),
-    "newer baseline": (
-        lambda d: (d / "b.json").write_text('{"schema": 99}'), f"gate {RUN} --baseline b.json", 2,
-        "schema 99 is newer",
     ),
 }  # fmt: skip
 
@@ -100,17 +83,6 @@ def test_what_is_wrong_with_results_is_told(spoilt: Path, wrong: str) -> None:
     spoil, command, code, words = DAMAGE[wrong]
     spoil(spoilt)
     assert words in said(*command.split(), code=code, cwd=spoilt)
-
-
-@pytest.mark.parametrize(("extra", "code"), [([], 6), (["--allow-missing"], 0)])
-def test_half_a_study_does_not_pass_the_gate(spoilt: Path, extra: list[str], code: int) -> None:
-    said("accept", RUN, "--reason", "a test", code=0, cwd=spoilt)
-    said("gate", RUN, code=0, cwd=spoilt)
-    _case(spoilt).unlink()
-    told = said("gate", RUN, "--junit", "out.xml", *extra, code=code, cwd=spoilt)
-    assert "the run has not got to it" in told
-    assert ("or let them be by --allow-missing" in told) == (code == 6)
-    assert ('failures="1"' in (spoilt / "out.xml").read_text()) == (code == 6)
 
 
 def test_a_body_that_nothing_holds_is_told(tmp_path: Path) -> None:

@@ -64,9 +64,8 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("study") / "study.toml"
 
 
-@pytest.mark.parametrize("base", BASES)
-def test_the_bases_of_these_tests_are_sound(path: Path, base: dict[str, Any]) -> None:
-    path.write_text(tomli_w.dumps(base))
+def test_the_base_of_these_tests_is_sound(path: Path) -> None:
+    path.write_text(tomli_w.dumps(BASE))
     assert attempt(path) is None
 
 
