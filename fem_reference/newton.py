@@ -18,11 +18,11 @@ from fem_reference.assembly import Pattern
 from fem_reference.finite_contact import RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
-from fem_reference.progress import Progress, tell
 from fem_reference.surface_stretch import BIOT, most_compressed
 from fem_reference.system import LinearSystem, hold_components
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
 from solver_common.arrays import Array, Mask
+from solver_common.progress import Progress, tell
 from solver_common.quadrature import facet_quadrature
 
 _LEAST_STEP = 2.0**-8  # of a load step

@@ -41,7 +41,7 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
     found = _at_rest(scene, name)
 
     def sag(points: Array) -> Array:
-        nonlocal rest, found
+        nonlocal scene, rest, found
         if points is not mesh.surface_points:
             moved = mesh.points.copy()
             moved[mesh.surface_nodes] = points
@@ -50,6 +50,10 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
         solution = found.solve([rest.load(0.0)])
         if not solution.status[0].ok:
             raise SolverError(solution.status[0])
+        if "parts" in solution.scalars:  # the rest shapes are of one model
+            scene = dataclasses.replace(
+                scene, parameters={**scene.parameters, "parts": int(solution.scalars["parts"][0])}
+            )
         return np.asarray(solution.displacement[0])
 
     def on_rest(load: SurfaceLoad) -> SurfaceLoad:

@@ -17,7 +17,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from fem_reference.progress import Progress, reported
+from solver_common.progress import Progress, reported
 
 from ..body.mesh_cache import mesh_from_cache, mesh_path, read_level, read_mesh, write_mesh
 from ..body.refine import Hierarchy, refine, refined
@@ -229,7 +229,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
 
 
 def _tell_log() -> Callable[[Progress], None]:
-    """Writes where Newton's method is into the log, every `_APART` seconds: a run shows it, a failure keeps it."""
+    """Writes where a nonlinear solve is into the log, every `_APART` s: a run shows it, a failure keeps it."""
     told = time.monotonic()
 
     def tell(at: Progress) -> None:
@@ -237,7 +237,9 @@ def _tell_log() -> Callable[[Progress], None]:
         if time.monotonic() < told + _APART:
             return
         told = time.monotonic()
-        step = f"load step {at.step + 1} of {at.steps}" if at.steps > 1 else "load"
+        step = (
+            f"load step {at.step + 1}" + (f" of {at.steps}" if at.steps else "") if at.steps != 1 else "load"
+        )
         line = f"{step} at {100 * at.share:.3g} %, iteration {at.iteration}, residual {at.residual:.1e}"
         with contextlib.suppress(OSError):  # a full disk ends no solve
             os.write(1, f"{WHERE}{line}\n".encode())

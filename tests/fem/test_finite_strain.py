@@ -15,8 +15,8 @@ from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
-from fem_reference.progress import Progress, reported
 from fem_reference.solution import Solution, SolverError
+from solver_common.progress import Progress, reported
 from tests.fem.shapes import Body, ball, cube
 from tests.verification.records import Verified
 

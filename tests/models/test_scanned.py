@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from fem_reference.finite_strain import FiniteStrainProblem
 from solver_common.arrays import Array
+from solver_common.progress import Progress, reported
 from solver_common.solution import SolverError
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
@@ -65,8 +66,11 @@ def _sagged(at_rest: Scene, name: str) -> Array:
 
 @pytest.mark.parametrize("name", ["fem", "bem:nonlinear"])
 def test_a_known_rest_shape_is_recovered_and_loads_start_from_the_scan(at_rest: Scene, name: str) -> None:
-    straight = models.run_model(at_rest, name)
-    result = models.run_model(_scan(at_rest, _sagged(at_rest, name)), name)
+    straight, told = models.run_model(at_rest, name), list[Progress]()
+    with reported(told.append):
+        result = models.run_model(_scan(at_rest, _sagged(at_rest, name)), name)
+    assert {at.share for at in told} == {1.0}
+    assert told[-1].residual < 1e-6 < told[0].residual
     assert [status.code for status in result.status] == ["converged"] * 2, result.status
     sag = np.linalg.norm(straight.displacement[0], axis=1).max()
     assert sag > 0.002

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fem_reference.progress import Progress, tell
+from solver_common.progress import Progress, tell
 from vdmbench.machine import usable_processors
 from vdmbench.work import pool, worker
 from vdmbench.work.pool import local_pool, run_tasks

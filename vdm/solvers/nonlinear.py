@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
+from solver_common.progress import Progress, tell
 from vdm.constraints import Load
 from vdm.deformed import best_rotation
 from vdm.problem import Problem, Step
@@ -225,16 +226,16 @@ class NonlinearSolver:
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)), weight=0.0)
         self._rest = _Converged(unloaded, np.zeros((len(self.free), d)), np.zeros(self.body.n_pressures))
         self._path = [self._rest]  # the last three
-        self._largest = 0.0
+        self._largest, self._number = 0.0, -1  # of steps since the body was at rest
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
         """Solution of one load; with a previous step, started where the last three converged ones point to.
 
         A start and what is known of the slope change the number of iterations, not what they converge to.
         """
+        self._number += 1
         if previous is None:
-            self._path = [self._rest]
-            self._largest = 0.0
+            self._number, self._path, self._largest = 0, [self._rest], 0.0
             self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
         last = self._path[-1]
         x, pressure = self._ahead(load)
@@ -242,7 +243,7 @@ class NonlinearSolver:
         balance: Balance | None = None
         while reached < 1.0:
             target = min(reached + width, 1.0)
-            found, used = self._solve(_between(last.load, load, target), x, pressure)
+            found, used = self._solve(_between(last.load, load, target), x, pressure, (reached, target))
             iterations += used
             if found is None and not self._mixes:  # the slope misses what strains within: that is learnt
                 self._mixes, self._anderson = True, Anderson(HISTORY)
@@ -356,7 +357,9 @@ class NonlinearSolver:
         """As `carried`, of the body's nodes."""
         return carried(self.body.rest, self.problem.held_nodes, x, held)
 
-    def _solve(self, load: Load, x: Array, pressure: Array) -> tuple[Balance | None, int]:
+    def _solve(
+        self, load: Load, x: Array, pressure: Array, shares: tuple[float, float]
+    ) -> tuple[Balance | None, int]:
         nodes, body, unit = self._free_nodes, self.body, self._unit
         held = self._held(load)
         x = self.carried(x, held)[0]
@@ -376,9 +379,9 @@ class NonlinearSolver:
             if not np.isfinite(residual) or residual > GROWTH_LIMIT * max(smallest, balance.scale):
                 return None, iteration
             smallest = min(smallest, residual)
-            if residual <= TOLERANCE * max(balance.scale, self.smallest_force) and (
-                np.abs(balance.gap).max() <= TOLERANCE
-            ):
+            scale = max(balance.scale, self.smallest_force)
+            tell(Progress(self._number, 0, *shares, iteration, residual / scale))
+            if residual <= TOLERANCE * scale and (np.abs(balance.gap).max() <= TOLERANCE):
                 return self._close_volume(load, balance, turn), iteration
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
             x = x.copy()

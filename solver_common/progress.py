@@ -1,4 +1,4 @@
-"""Where a finite-strain solve is, told while it runs."""
+"""Where a nonlinear solve is, told while it runs."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ class Progress(NamedTuple):
 
     Attributes
     ----------
-    step, steps : load step under way, from 0, and their number
+    step, steps : load step under way, from 0, and their number; 0 where it is not known
     reached : share of that step's load at which equilibrium was last found
     share : share that is tried now
-    iteration : Newton iterations done at it
+    iteration : iterations done at it
     residual : relative residual after them
     """
 
@@ -34,7 +34,7 @@ _REPORT: ContextVar[Report | None] = ContextVar("report", default=None)
 
 @contextmanager
 def reported(report: Report) -> Iterator[None]:
-    """Call `report` before every Newton iteration and after the last, in this thread, inside the `with` block.
+    """Call `report` before every iteration and after the last, in this thread, inside the `with` block.
 
     An exception that it raises ends the solve.
 
