@@ -78,7 +78,7 @@ class FiniteStrainProblem:
     pressure : "follower" acts on the deformed surface along its normal; "dead" keeps its first forces
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
     expected_loads : number of load steps to come, for the choice
-    max_newton : iterations after which a substep is cut in two
+    max_newton : iterations after which a substep is cut in two, unless the residual just fell to a tenth
     tolerance : of the residual of the scaled system, relative to its internal forces
     memory_limit : bytes the solver may take; None for what the machine has left
 

@@ -28,6 +28,7 @@ from solver_common.quadrature import facet_quadrature
 _LEAST_STEP = 2.0**-8  # of a load step
 # The same where shorter ones do not help: beyond Biot's stretch, see the README, "Where it ends".
 _LEAST_CRUMPLED = 2.0**-5
+_FAST = 0.1  # of the residual: an iteration that leaves no more is not the last
 _EASY = 5  # Newton iterations after which the next substep may be longer
 _LEAST_DAMPING = 0.1  # of an update that would turn an element inside out
 # Newton far from its goal may raise the residual, but one that keeps doing so may end on another branch.
@@ -143,7 +144,7 @@ class Newton:
     assembly : element forces and tangents
     follower : the pressure on the deformed surface
     solver : of the linear systems
-    max_newton : iterations after which a substep has failed
+    max_newton : iterations after which a substep has failed, unless the last one was fast
     tolerance : of the residual, relative to the internal forces
     cavities : (F, k) facets of the walls of cavities that a fluid fills
     contact : of an indenter, while there is one
@@ -183,7 +184,7 @@ class Newton:
 
         Every attempt is yielded; the last one either reaches load factor one or has failed.
         """
-        reached, step = 0.0, 1.0
+        reached, step, wall, failed = 0.0, 1.0, np.inf, False  # the wall: where an attempt failed last
         while reached < 1.0:
             # A remainder too short to be tried alone is taken along.
             target = 1.0 if reached + step > 1.0 - _LEAST_STEP else reached + step
@@ -192,12 +193,16 @@ class Newton:
             yield attempt
             if attempt.converged:
                 state, reached = attempt.state, target
-                if len(attempt.residuals) - 1 <= _EASY:
+                wall = wall if wall > reached else np.inf
+                if len(attempt.residuals) - 1 <= _EASY and not failed:
                     step *= 2.0
+                else:  # what failed is tried again after an easy step only
+                    step = max(min(step, 0.5 * (wall - reached)), _LEAST_STEP)
+                failed = False
             elif step <= self._least_step(attempt) or attempt.code == "too-small":
                 return
             else:
-                step *= 0.5
+                step, wall, failed = 0.5 * step, target, True
 
     def _least_step(self, failed: Substep) -> float:
         """How short a substep may be: one from a state whose surface or tangent is unstable does not repay it."""
@@ -233,7 +238,8 @@ class Newton:
                     return outcome(state, "too-small")
                 return passed if self._passes(u, load) else outcome(State(u, q, c), "converged")
             rises = sum(b > a for a, b in itertools.pairwise(residuals[1:]))
-            if len(residuals) > self.max_newton or rises > _MOST_RISES or not np.isfinite(found.relative):
+            slow = len(residuals) > self.max_newton and residuals[-1] > _FAST * residuals[-2]
+            if slow or rises > _MOST_RISES or not np.isfinite(found.relative):
                 return outcome(state, "not-converged")
             if tangent is None or not self._good_enough(residuals):
                 tangent = self.tangent(State(u, q, c), load)

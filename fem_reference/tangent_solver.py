@@ -44,8 +44,8 @@ class Preconditioner(Protocol):
     """Makes approximate inverses of symmetric systems with one sparsity pattern.
 
     `library` is what factorises, "none" for multigrid; `patience` is the number of GMRES steps on another tangent
-    after which a new one is cheaper, `limit` that which counts as failed. `sharpen` makes it more exact for good and
-    says whether it could.
+    after which a new one is cheaper, `limit` that which counts as failed. `sharpen` makes it more exact for good
+    and says whether it could.
     """
 
     name: str

@@ -51,17 +51,16 @@ def test_each_load_gives_what_it_gives_from_rest_and_is_nearer(block: Body) -> N
     assert steps[-1, 0] == 0, "a load that is known"
 
 
-def test_the_end_of_the_way_is_where_it_is_from_rest_and_is_looked_for_once(block: Body) -> None:
+def test_the_end_of_the_way_is_looked_for_once(block: Body) -> None:
     """Too small a load is no end."""
     problem, path = _problem(block), LoadPath()
     assert problem.solve([_pulled(block, 1e-17)], OUTPUTS, path).status[0].code == "too-small"
     stopped = problem.solve([_pulled(block, 20.0)], OUTPUTS, path)
     assert stopped.status[0].code in {"not-converged", "inverted"}
     end = 20.0 * stopped.scalars["load_factor"][0]
-    again = problem.solve([_pulled(block, 3.0 * end)], OUTPUTS, path)
+    again = problem.solve([_pulled(block, 1.5 * end)], OUTPUTS, path)
     assert again.status[0].code == stopped.status[0].code
     assert again.iterations[0] == 0
     assert_allclose(again.displacement, stopped.displacement, rtol=1e-14, atol=0)
-    assert not _problem(block).solve([_pulled(block, 3.0 * end)]).status[0].ok
     below = _pulled(block, 0.4 * end)  # nearer to the end the path branches
     _assert_same(problem.solve([below], OUTPUTS, path), _problem(block).solve([below], OUTPUTS))
