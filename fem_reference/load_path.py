@@ -11,9 +11,9 @@ from fem_reference.newton import Newton, ScaledLoad, Substep
 class LoadPath:
     """The states that were reached on the way to some loads, and where the way ended.
 
-    The loads are to lie on one path, of rising size: then a load beyond the end of the way has no solution that
-    is near, and is not tried again. On a stable path an elastic body forgets its way: from whichever load below Newton's method
-    starts, it is the same equilibrium to the tolerance. Where a path branches it may be another.
+    The loads are to lie on one path, of rising size: then a load beyond the end of the way has no solution that is
+    near, and is not tried again. On a stable path an elastic body forgets its way: from whichever load below
+    Newton's method starts, it is the same equilibrium to the tolerance. Where a path branches it may be another.
     """
 
     def __init__(self) -> None:
