@@ -204,7 +204,7 @@ class Viewer:
     template: ClassVar[str] = "viewer"
     payload: Mapping[str, object] | None
     pictures: Sequence[Still]
-    notes: Sequence[str] = ()
+    note: Text
 
 
 @dataclass(frozen=True)

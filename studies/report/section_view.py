@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib import colormaps
@@ -19,15 +18,12 @@ from solver_common.arrays import Array
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import capital, plain, quantity
-from .blocks import Section, Still, Viewer, note
+from .blocks import Section, Viewer, note
 from .picture import COLOUR_MAPS, Panel, still_of
 from .scene_picture import KINDS, Stage
 from .section_scene import parts_of
 
 _U16, _I16 = 65535, 32767
-_TOO_LARGE = (
-    "The surface has too many nodes for a viewer in a page of this size; open the case files in ParaView."
-)
 
 
 def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
@@ -35,20 +31,18 @@ def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
     if not digest.cases or digest.focus is None:
         yield []
         return
-    pictures = [_still(digest, role, case) for role, case in digest.key_cases] if stills else []
-    shown = [picture for picture in pictures if picture is not None]
+    drawn = [(digest.title(*key), *still(digest, key[1])) for key in digest.key_cases] if stills else []
+    shown = [still_of(panels, title, words) for title, panels, words in drawn if panels]
+    cases, models = [case for _, case in digest.key_cases], digest.models
+    few = [name for name in models if name in (digest.focus, digest.reference)]
     roles = [role for role, _ in digest.key_cases]
     intro = note("surface", roles, len(digest.cases), digest.focus, bool(digest.compared))
-    for view in views(digest):
-        notes = [f"To keep the page small, the viewer has {view.leaves_out}"] if view.leaves_out else []
-        viewer = Viewer(payload(view, digest), shown, notes)
+    for lean, asked in enumerate(
+        ((cases, models, True), (cases, models, False), (cases[:1], few, False), None)
+    ):
+        data = payload(digest, *asked) if asked else None
+        viewer = Viewer(data, shown, note("viewer", lean, few[0]))
         yield [Section("surface", "Where on the surface", [intro, viewer])]
-    yield [Section("surface", "Where on the surface", [intro, Viewer(None, shown, [_TOO_LARGE])])]
-
-
-def _still(digest: Digest, role: str, case: CaseResult) -> Still | None:
-    panels, words = still(digest, case)
-    return still_of(panels, digest.title(role, case), words) if panels else None
 
 
 def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:
@@ -96,46 +90,24 @@ def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
 # --- the viewer's data ---
 
 
-@dataclass(frozen=True)
-class View:
-    """What the viewer is asked to show: cases with their roles, models, every load step or the full load alone."""
-
-    cases: Sequence[tuple[str, CaseResult]]
-    models: Sequence[str]
-    history: bool = True
-    leaves_out: str = ""
-
-    def steps_of(self, case: CaseResult) -> list[int]:
-        """The load steps of a case."""
-        return list(range(len(case.load_factors))) if self.history else [case.full_load]
-
-
-def views(digest: Digest) -> list[View]:
-    """From the fullest to the leanest, each with what it leaves out."""
-    cases, models = digest.key_cases, digest.models
-    few = tuple(name for name in models if name in (digest.focus, digest.reference))
-    return [
-        View(cases, models),
-        View(cases, models, False, "the step of full load only."),
-        View(cases[:1], few, False, f"one case at full load, and of the models only {few[0]}."),
-    ]
-
-
-def payload(view: View, digest: Digest) -> dict[str, object]:
-    """The viewer's JSON."""
+def payload(
+    digest: Digest, shown: Sequence[CaseResult], models: Sequence[str], history: bool
+) -> dict[str, object]:
+    """The viewer's JSON: some key cases and models, every load step or the full load alone."""
+    roles = {case.hash: role for role, case in digest.key_cases}
     surfaces: dict[tuple[bytes, bytes], int] = {}
     geometries: list[dict[str, object]] = []
     cases = []
-    for role, case in view.cases:
+    for case in shown:
         key = (case.points.tobytes(), case.triangles.tobytes())
         if key not in surfaces:
             surfaces[key] = len(geometries)
             geometries.append(_geometry(case))
-        steps = view.steps_of(case)
-        names = [name for name in view.models if name in case.models]
+        steps = list(range(len(case.load_factors))) if history else [case.full_load]
+        names = [name for name in models if name in case.models]
         cases.append(
             {
-                "title": digest.title(role, case),
+                "title": digest.title(roles[case.hash], case),
                 "name": case.label,
                 "geometry": surfaces[key],
                 "reference": case.reference if case.reference in names else None,

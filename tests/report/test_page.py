@@ -21,7 +21,7 @@ from vdmbench.report import page as page_module
 from vdmbench.report.blocks import Figures
 from vdmbench.report.page import MOST_BYTES, page_html, write_report
 from vdmbench.report.section_charts import error_against_parameters
-from vdmbench.report.section_view import payload, views
+from vdmbench.report.section_view import payload
 from vdmbench.verdict.digest import Digest
 
 
@@ -174,9 +174,7 @@ def unpack(text: object, kind: str) -> np.ndarray:
 def test_viewer_data_hold_the_displacements() -> None:
     cases = [make_case({"m": e}, label=str(e), swept={"k": e}, subdivisions=2) for e in (0.1, 0.4)]
     digest = Digest(make_run(cases))
-    view = views(digest)[0]
-    assert view.leaves_out == ""
-    data = json.loads(json.dumps(payload(view, digest)))
+    data = json.loads(json.dumps(payload(digest, cases[::-1], digest.models, True)))
     (geometry,) = data["geometries"]  # one for both cases
     low, step = np.array(geometry["low"]), np.array(geometry["step"])
     points = low + step * unpack(geometry["points"], "<u2").reshape(-1, 3)
@@ -199,7 +197,7 @@ def test_the_viewer_begins_where_supports_and_loads_are_seen() -> None:
         side = case.points @ [np.cos(angle), np.sin(angle), 0.0] > 0.04
         turned = dataclasses.replace(case, regions={**case.regions, "finger": side})
         digest = Digest(make_run([turned]))
-        data: Any = payload(views(digest)[0], digest)
+        data: Any = payload(digest, digest.cases, digest.models, True)
         assert np.cos(data["cases"][0]["azimuth"] - angle) > 0.2
         regions = data["cases"][0]["regions"]
         assert [region["kind"] for region in regions] == ["fixed", "contact"]
@@ -209,7 +207,7 @@ def test_the_viewer_begins_where_supports_and_loads_are_seen() -> None:
 
 def test_a_failed_step_is_a_message_to_the_viewer() -> None:
     digest = Digest(make_run([make_case({"m": 0.1}, stopped={"m": 1}, subdivisions=0)]))
-    data = json.loads(json.dumps(payload(views(digest)[0], digest), allow_nan=False))
+    data = json.loads(json.dumps(payload(digest, digest.cases, digest.models, True), allow_nan=False))
     steps = next(m["steps"] for m in data["cases"][0]["models"] if m["name"] == "m")
     assert "data" in steps[0]
     assert steps[1:] == [{"message": "the volume could not be held"}] * 3
