@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
 from typing import Any, NamedTuple
 
 from ..measures.case import CaseResult, Limit, ModelLimits
@@ -58,7 +57,7 @@ def small_strain_limits(digest: Digest) -> Section | None:
     if not rows:
         return None
     raised = {"every load, in proportion" if one.unit == "1" else one.along for _, one in searched}
-    metres, unit = partial(quantity, unit="m"), searched[0][1].unit
+    unit = searched[0][1].unit
     fields = [
         *([Field("Case", lambda row: digest.case_name(row.case))] if len(digest.cases) > 1 else []),
         Field("Model", lambda row: row.model),
@@ -76,10 +75,16 @@ def small_strain_limits(digest: Digest) -> Section | None:
         Field("Load" if unit != "1" else "Times the study's loads", lambda row: _load(row.limit, unit), unit),
         Field(
             "Indentation",
-            lambda row: _found(row.limit, row.limit.indentation, row.limit.indentation_bar, metres),
+            lambda row: row.limit.indentation,
             "m",
+            bar=lambda row: row.limit.indentation_bar * abs(row.limit.indentation),
         ),
-        Field("Strain", lambda row: _found(row.limit, row.limit.strain, row.limit.strain_bar, percent), "1"),
+        Field(
+            "Strain",
+            lambda row: row.limit.strain,
+            "1",
+            bar=lambda row: row.limit.strain_bar * abs(row.limit.strain),
+        ),
         Field("Largest strain", lambda row: row.limit.largest_strain, "1", "of any point"),
     ]
     table = frame_table(rows, fields, "limits", mark=lambda row: digest.mark(row.model))
@@ -95,13 +100,6 @@ def _load(limit: Limit, unit: str) -> Cell:
         return Cell(text, bar_detail(1.0, limit.bar), limit.load)
     prefix = {"beyond": "≥ ", "unresolved": ""}.get(limit.state, "to ")
     return Cell(f"{prefix}{text}", _WHY[limit.state], limit.load, tone="muted")
-
-
-def _found(limit: Limit, value: float, bar: float, shown: Callable[[float], str]) -> Cell:
-    """An indentation or a strain with its bar; that of a limit not found has none."""
-    if limit.state != "found" or not math.isfinite(value):
-        return Cell(shown(value), value=value)
-    return Cell(shown(value), bar_detail(value, bar * abs(value), shown), value)
 
 
 def all_measures(digest: Digest) -> Section | None:
@@ -335,8 +333,8 @@ def provenance(digest: Digest) -> Section | None:
 def _each(tables: Iterable[Mapping[str, float | str]]) -> list[tuple[str, str]]:
     """(key in words, its values) of every key of some tables."""
     found: dict[str, list[float | str]] = {}
-    for table in tables:
-        for key, value in table.items():
+    for table in dict.fromkeys(tuple(table.items()) for table in tables):  # most cases are alike
+        for key, value in table:
             found.setdefault(key, []).append(value)
     return [(k.removeprefix("package.").replace("_", " "), _over(values, k)) for k, values in found.items()]
 

@@ -363,7 +363,7 @@ def metrics_csv(table: DataFrame) -> str:
 
     rows, swept = _without_costs(table), [key for key in table.columns if key not in COLUMNS]
     shown = rows[["case", *swept, "model", "load_factor", "metric", "value", "unit", "bar"]].copy()
-    shown["case"] = shown["case"].str.slice(0, 12)
+    shown["case"] = shown["case"].map({one: one[:12] for one in shown["case"].unique()})
     shown = shown.rename(columns={"bar": "reference_error"})
     for key in (key for key in shown if not is_numeric_dtype(shown[key])):
         texts = {one: no_formula(one) for one in shown[key].unique() if isinstance(one, str)}
