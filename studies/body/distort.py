@@ -109,7 +109,7 @@ def _squeeze(points: Array, mesh: Mesh, ratio: float, random: np.random.Generato
     triangles = mesh.surface_nodes[mesh.triangles]
     wanted = max(1, round(SLIVER_SHARE * len(triangles)))
     facets_of = _incidence(triangles, len(points))
-    cells_of = _incidence(mesh.tetrahedra, len(points)) if len(mesh.tetrahedra) else None
+    cells_of = _incidence(mesh.tetrahedra, len(points))
     taken = np.zeros(len(points), dtype=bool)
     made = 0
     for facet in random.permutation(len(triangles)):
@@ -156,12 +156,8 @@ def _facets_sound(points: Array, triangles: Index, before: Array) -> bool:
     return not turned.any() and bool((aspect_ratios(points, triangles) <= _SOUND_ASPECT).all())
 
 
-def _cells_sound(
-    points: Array, mesh: Mesh, cells_of: sparse.csr_array | None, node: int, facet: Index
-) -> bool:
+def _cells_sound(points: Array, mesh: Mesh, cells_of: sparse.csr_array, node: int, facet: Index) -> bool:
     """Whether the tetrahedra at a node are, the one on its sliver apart, which must not turn over."""
-    if cells_of is None:
-        return True
     cells = mesh.tetrahedra[_row(cells_of, node)]
     flat: Mask = np.isin(cells, facet).sum(axis=1) == 3
     return bool(
