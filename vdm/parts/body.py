@@ -93,15 +93,15 @@ class _Slope:
     ----------
     turns : (m, 3, 3) of the parts
     columns : of each part its places in q
-    pushes, inside : of each part E_I (3 n_I, k), and S_II^-1 of that
-    border, answers : (3 n_C, r) H, and the shared nodes' answers to it
+    pushes : of each part E_I (3 n_I, k)
+    border : (3 n_C, r) H
+    answers : (3n, r) how q moves all nodes
     system : (r, r) what is left for q
     """
 
     turns: Array
     columns: list[Index]
     pushes: list[Array]
-    inside: list[Array]
     border: Array
     answers: Array
     system: Array
@@ -283,28 +283,29 @@ class Parts:
                 right[part.places] -= (part.follows.T @ within).reshape(-1, 3) @ q
         first = np.asarray(self._factor.solve(right.reshape(-1)))
         push = np.asarray(np.linalg.solve(slope.system, target - slope.border.T @ first), np.float64)
-        change = self._moved(slope, first, inside, push)
+        moved = self._moved(slope.turns, first[:, None], [own[:, None] for own in inside])[:, 0]
+        change = (moved + slope.answers @ push).reshape(-1, 3)
         # a slope that is kept has the gradients of its own state's volumes: they are closed by those of this one
-        moved, missed = change[self._nodes], np.zeros_like(target)
-        flux = np.add.reduceat(np.einsum("nc,nc->n", acting.state.area_vectors, moved), self._first)
-        missed[kept] = -gap * self.volumes - np.append(flux, np.einsum("nck,nc->k", acting.filled, moved))
+        at_parts, missed = change[self._nodes], np.zeros_like(target)
+        flux = np.add.reduceat(np.einsum("nc,nc->n", acting.state.area_vectors, at_parts), self._first)
+        missed[kept] = -gap * self.volumes - np.append(flux, np.einsum("nck,nc->k", acting.filled, at_parts))
         push = push + np.linalg.solve(slope.system, missed)
-        change = self._moved(slope, first, inside, push)
+        change = (moved + slope.answers @ push).reshape(-1, 3)
         # the pressure of the weight rises where a part goes down as one
         sunk = [part.areas @ change[part.nodes] @ acting.rise for part in self.parts]
         return change[self.free], push[kept] - np.append(sunk, np.zeros(self._n_filled))
 
-    def _moved(self, slope: _Slope, first: Array, inside: list[Array], push: Array) -> Array:
-        """(n, 3) by what nodes that are shared (3 n_C,) and inside move without q, and by q."""
-        together = (first + slope.answers @ push).reshape(-1, 3)
-        change = np.zeros((len(self.free), 3))
-        change[self._shared] = together
-        for e, (part, q) in enumerate(zip(self.parts, slope.turns, strict=True)):
-            moved = inside[e] + slope.inside[e] @ push[slope.columns[e]]
+    def _moved(self, turns: Array, together: Array, inside: list[Array]) -> Array:
+        """(3n, r) by r motions of nodes that are shared (3 n_C, r) and what moves each part's own (3 n_I, r)."""
+        r = together.shape[1]
+        shared = together.reshape(-1, 3, r)
+        change = np.zeros((len(self.free), 3, r))
+        change[self._shared] = shared
+        for part, q, moved in zip(self.parts, turns, inside, strict=True):
             if len(part.places):
-                moved = moved - part.follows @ (together[part.places] @ q.T).reshape(-1)
-            change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ q
-        return change
+                moved = moved - part.follows @ (q @ shared[part.places]).reshape(-1, r)
+            change[part.nodes[part.inner]] = q.T @ moved.reshape(-1, 3, r)
+        return change.reshape(-1, r)
 
     def _slope_for(self, balance: Balance, lacking: Array, gap: Array) -> _Slope:
         """The slope of a state, or the last one where parts have hardly turned and `MOST_LEFT` holds.
@@ -337,8 +338,10 @@ class Parts:
             pushes = np.concatenate([pressed, turning, filled], axis=2)
             within = pushes[part.inner].reshape(-1, len(at))
             pushed.append(within)
-            inside.append(np.asarray(part.block.solve(np.asfortranarray(within))))
-            corner[np.ix_(at, at)] += within.T @ inside[-1]
+            answered = np.asarray(part.block.solve(np.asfortranarray(within)))
+            inside.append(np.zeros((len(within), size)))
+            inside[-1][:, at] = answered
+            corner[np.ix_(at, at)] += within.T @ answered
             corner[np.ix_(at[1:k], at[1:k])] += own
             if not (part.inner | part.shared).any():  # it is held all over, and its pressure is at rest
                 corner[k * e, k * e] = 1.0
@@ -346,8 +349,9 @@ class Parts:
                 joined = pushes[part.shared] - (part.follows.T @ within).reshape(-1, 3, len(at))
                 border[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", joined, q)
         flat = border.reshape(3 * n, size)
-        answers = np.asarray(self._factor.solve(np.asfortranarray(flat)))
-        return _Slope(turns, columns, pushed, inside, flat, answers, flat.T @ answers + corner)
+        together = np.asarray(self._factor.solve(np.asfortranarray(flat)))
+        answers = self._moved(turns, together, inside)
+        return _Slope(turns, columns, pushed, flat, answers, flat.T @ together + corner)
 
     def _turning(self, number: int, q: Array, balance: Balance) -> tuple[Array, Array]:
         """What turning a part adds to its slope, `U C U^T`: U (n, 3, 6) in its frame, and C^-1 (6, 6).
