@@ -474,13 +474,17 @@ def _rim(surface: SurfaceMesh, held: Mask) -> Mask | None:
     return rim if len(crossing) else None
 
 
-def parts_wanted(surface: SurfaceMesh, displacement: Array) -> int:
+def pieces_of(surface: SurfaceMesh) -> list[Index]:
+    """Nodes of `FINEST` pieces of a surface, and of caps between them."""
+    return list(map(np.unique, cut(surface.points, surface.triangles, FINEST, crossing=True).parts))
+
+
+def parts_wanted(surface: SurfaceMesh, pieces: list[Index], displacement: Array) -> int:
     """How many parts a body needs that moves by (N, 3): 1, or the power of two that leaves `MOST_TURN` in each.
 
-    By the small rotations that best fit `FINEST` pieces of the surface, the largest between two of them.
+    By the small rotations that best fit its `pieces_of`, the largest between two of them.
     """
-    pieces = cut(surface.points, surface.triangles, FINEST, crossing=True).parts
-    turns = np.array([_small_rotation(surface, nodes, displacement) for nodes in map(np.unique, pieces)])
+    turns = np.array([_small_rotation(surface, nodes, displacement) for nodes in pieces])
     spread = float(np.linalg.norm(turns[:, None] - turns[None], axis=2).max())
     return 1 if spread <= MOST_TURN else 2 ** int(np.ceil(np.log2(spread / MOST_TURN)))
 

@@ -11,7 +11,7 @@ import numpy as np
 from solver_common.arrays import Index
 from vdm.constraints import Load
 from vdm.material import MOST_PARTS
-from vdm.parts.body import Parts, parts_wanted
+from vdm.parts.body import Parts, parts_wanted, pieces_of
 from vdm.peers.bem import BoundaryFormulation
 from vdm.peers.bem_sparse import RoughFormulation
 from vdm.problem import Problem, Step
@@ -73,12 +73,14 @@ class PartsSolver:
         start = time.perf_counter()
         surface, load = self._whole.formulation.surface, self._unturned(self._largest(loads))
 
-        def wanted(linear: LinearSolver) -> int:
-            return parts_wanted(surface, linear.step(load).displacement)
-
         if self._given:
             self._solver = self._of(self._given)
         else:
+            pieces = pieces_of(surface)
+
+            def wanted(linear: LinearSolver) -> int:
+                return parts_wanted(surface, pieces, linear.step(load).displacement)
+
             guess = _guess(self._whole)
             count = min(max(self._least, 1 if guess is None else wanted(guess)), MOST_PARTS)
             self._solver = self._of(count)
