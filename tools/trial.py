@@ -117,7 +117,7 @@ def rows(surface: Path | None) -> Iterator[list[str]]:
 
 def summed_up(lines: Sequence[Sequence[str]]) -> str:
     """What the table comes to."""
-    off = [line for line in lines if not max(map(float, line[5].split(" / "))) <= 100 * OWN["limit"]]
+    off = [line for line in lines if not max(map(float, line[5].split(" / "))) < 100 * OWN["limit"]]
     silent = sum(line[-1] == "nothing" for line in off)
     return (
         f"{len(lines) - len(off)} of {len(lines)} are within {100 * OWN['limit']:.0f} % in both errors. "

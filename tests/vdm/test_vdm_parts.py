@@ -215,7 +215,7 @@ def test_a_beam_bends_as_the_elastica() -> None:
 
 
 def test_parts_are_doubled_as_the_answers_ask_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where no balance is found, and where twice as many change more than the mesh leaves open."""
+    """Where no balance is found, until one is that twice as many change by less than is told."""
     monkeypatch.setattr(
         "vdm.parts.body.MOST_TURN", np.inf
     )  # the linear answer asks for one part, which bends too far
@@ -224,8 +224,8 @@ def test_parts_are_doubled_as_the_answers_ask_for(monkeypatch: pytest.MonkeyPatc
         [at_tip(body[0], np.array([0.0, 0.0, -2.0 * E * SIDE**4 / 12.0 / LENGTH**2]))]
     )
     assert found.status[0].ok
-    assert found.scalars["parts"][0] == 4
-    assert found.scalars["parts_error"][0] <= found.scalars["mesh_error"][0]
+    assert found.scalars["parts"][0] > 1
+    assert found.scalars["parts_error"][0] < 0.1
 
 
 def test_what_the_parts_do_not_follow_is_told() -> None:

@@ -15,6 +15,7 @@ from vdm.parts.body import Parts, parts_wanted, pieces_of
 from vdm.peers.bem import BoundaryFormulation
 from vdm.peers.bem_sparse import RoughFormulation
 from vdm.problem import Problem, Step
+from vdm.reservations import LIMIT
 from vdm.solution import Solution, SolverError
 from vdm.solvers.audit import Audit
 from vdm.solvers.linear import BorderedFactor, LinearSolver
@@ -96,8 +97,8 @@ class PartsSolver:
     def doubled(self, solution: Solution) -> bool:
         """Whether the body has twice the parts from now on, as its answers to the loads ask for.
 
-        Where no balance was found, or where twice as many change more than the mesh leaves open and can be compared
-        with twice as many themselves.
+        Where no balance was found, or where the parts would be told to leave too much open (`vdm.reservations`) and
+        the doubled can be compared with twice as many themselves.
         """
         if self._given:
             return False
@@ -105,8 +106,9 @@ class PartsSolver:
         if finer is None:
             return False
         if all(status.ok for status in solution.status):
-            changes_more = scalars.get("parts_error", np.nan) > scalars.get("mesh_error", np.nan)
-            if not np.any(changes_more) or self._twice(_parts(finer)) is None:
+            apart, mesh = (scalars.get(name, np.zeros(1)) for name in ("parts_error", "mesh_error"))
+            told = (apart > mesh) & (apart + mesh > LIMIT)
+            if not told.any() or self._twice(_parts(finer)) is None:
                 return False
         body = _parts(finer)
         body.wanted = self.body.wanted
