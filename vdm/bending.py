@@ -37,13 +37,15 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
         return np.nan  # the known bendings are those of one tissue that is held or free
     if form.parameters.fluid_in_cavities:
         return np.nan
-    exact, forces = bendings(form.resolved, form.parameters.poisson_ratio)
+    mesh, nu = form.resolved, form.parameters.poisson_ratio
+    exact = bendings(mesh, nu)[0][:, :n]
+    forces = form.known_forces(lambda part: modulus * bendings(part, nu, mesh)[1])
     error = size = 0.0
     areas = surface.nodal_areas[:, None]
     rigid = rigid_basis(surface)
-    for u, force in zip(exact[:, :n], modulus * forces, strict=True):
+    for u, force in zip(exact, forces, strict=True):
         x = np.where(problem.free[:, None], 0.0, form.unknown(u))
-        left = (form.carried(force) - form.apply(x)).reshape(-1)[factor.unknowns]
+        left = (force - form.apply(x)).reshape(-1)[factor.unknowns]
         x.reshape(-1)[factor.unknowns] = factor.solve(left, -form.rows.dotted(x.reshape(-1)))[0]
         deformed = u.reshape(-1) - rigid @ (rigid.T @ u.reshape(-1))
         error += float((areas * (form.displacement(x) - u) ** 2).sum())
@@ -51,11 +53,16 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
     return float(np.sqrt(error / size))
 
 
-def bendings(surface: SurfaceMesh, nu: float = 0.5) -> tuple[Array, Array]:
-    """(6, N, 3) displacements [m^2] and nodal forces [m^3], both over the curvature [1/m], the latter over E."""
-    centred = surface.points - surface.points.mean(axis=0)
-    axes = np.linalg.eigh(centred.T @ (surface.nodal_areas[:, None] * centred))[1]
-    x, facets = (centred @ axes).T, (surface.facet_vectors @ axes).T
+def bendings(surface: SurfaceMesh, nu: float = 0.5, body: SurfaceMesh | None = None) -> tuple[Array, Array]:
+    """(6, N, 3) displacements [m^2] and nodal forces [m^3], both over the curvature [1/m], the latter over E.
+
+    About the principal axes of the `body` that the surface is of a part of, by default its own.
+    """
+    body = body or surface
+    middle = body.points.mean(axis=0)
+    centred = body.points - middle
+    axes = np.linalg.eigh(centred.T @ (body.nodal_areas[:, None] * centred))[1]
+    x, facets = ((surface.points - middle) @ axes).T, (surface.facet_vectors @ axes).T
     moved, forces = np.zeros((2, 6, 3, surface.n_nodes))
     for k, (a, b, c) in enumerate(permutations(range(3))):
         moved[k, a] = x[a] * x[b]

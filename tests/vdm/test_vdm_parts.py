@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm.bending import bending_error
 from vdm.parts.body import Parts
 from vdm.parts.caps import CutError, cap
 from vdm.parts.cut import cut, volume
@@ -256,6 +257,8 @@ def test_parts_at_small_displacements_are_one_body() -> None:
     whole = model.solve([load]).displacement[0]
     found = LinearSolver(body.problem, factor=body.factor).step(load).displacement
     assert np.linalg.norm(found - whole) < 0.005 * np.linalg.norm(whole)
+    bent = bending_error(body.problem, body.factor)
+    assert bent == pytest.approx(model.bending_error, rel=0.2)
 
 
 def test_a_body_that_parts_are_cut_of_is_not_made_as_one(monkeypatch: pytest.MonkeyPatch) -> None:

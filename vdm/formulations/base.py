@@ -191,6 +191,10 @@ class Formulation(ABC):
         pressure = -np.einsum("ic,ic->i", force, self.surface.normals) / self.surface.nodal_areas
         return self.contact_force(Load(pressure, force))
 
+    def known_forces(self, forces: Callable[[SurfaceMesh], Array]) -> Array:
+        """(m, N, d) generalised forces of m known ones, given on any mesh (N + k nodes) as (m, N + k, 3)."""
+        return np.stack([self.carried(force) for force in forces(self.resolved)])
+
     def pressure_force(self, pressure: Array) -> Array:
         """Generalised force (N, d) of a pressure (N,) that pushes outward from inside."""
         force: Array = self.columns.first * pressure[:, None]

@@ -11,7 +11,7 @@ and free nodes are eliminated part by part.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import linalg, sparse
@@ -23,6 +23,7 @@ from vdm.parts.part import Part, dofs
 from vdm.peers.bem import DENSE, BoundaryFormulation
 from vdm.solution import SolverError
 from vdm.solvers.cholesky import Cholesky
+from vdm.surface import SurfaceMesh
 
 
 class JoinedFormulation(BoundaryFormulation):
@@ -60,20 +61,37 @@ class JoinedFormulation(BoundaryFormulation):
     def n_coarse(self) -> int:
         return self.surface.n_nodes
 
+    def known_forces(self, forces: Callable[[SurfaceMesh], Array]) -> Array:
+        """Of the parts, each of which knows what is under its rims."""
+        given = [part.form.known_forces(forces) for part in self._parts]
+        force = np.zeros((len(self._shared_nodes), 3, len(given[0])))
+        for part, own in zip(self._parts, given, strict=True):
+            force[part.nodes] += own.transpose(1, 2, 0)
+        apart = np.zeros((self._apart.shape[2], len(given[0])))
+        return np.asarray(self._condensed(force, apart).transpose(2, 0, 1))
+
     def elastic_force(self, x: Array) -> Array:
         return self.elastic_forces(x[:, :, None])[:, :, 0]
 
     def elastic_forces(self, x: Array) -> Array:
-        n, k = len(x), x.shape[2]
+        k = x.shape[2]
         moved = np.concatenate([x, np.zeros((self._n_caps, 3, k))])
         force = self._of_parts(moved)
         pressed = self._apart.reshape(-1, self._apart.shape[2])
-        met = pressed.T @ moved.reshape(-1, k)
-        follows = linalg.lu_solve(self._caps, -np.vstack([force[n:].reshape(-1, k), met]), check_finite=False)
-        caps, pressures = np.split(follows, [3 * self._n_caps])
-        moved = np.concatenate([np.zeros_like(x), caps.reshape(-1, 3, k)])
-        force += self._of_parts(moved)
-        return np.asarray(force[:n] - self._apart[:n] @ pressures)
+        return self._condensed(force, pressed.T @ moved.reshape(-1, k))
+
+    def _condensed(self, force: Array, swells: Array) -> Array:
+        """Forces (N, 3, k) on the surface of those (n, 3, k) at all nodes, once the caps have given way to theirs.
+
+        `swells` (p, k) is by how much parts swell apart, which they do not then.
+        """
+        n, k = self.surface.n_nodes, force.shape[2]
+        right = np.vstack([force[n:].reshape(-1, k), swells])
+        caps, pressures = np.split(
+            linalg.lu_solve(self._caps, -right, check_finite=False), [3 * self._n_caps]
+        )
+        moved = np.concatenate([np.zeros((n, 3, k)), caps.reshape(-1, 3, k)])
+        return np.asarray((force + self._of_parts(moved))[:n] - self._apart[:n] @ pressures)
 
     def _of_parts(self, x: Array) -> Array:
         """Forces (n, 3, k) of displacements at all nodes, those of caps too."""
