@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class Progress(NamedTuple):
-    """Where Newton's method is.
+    """Where a solve is.
 
     Attributes
     ----------

@@ -50,7 +50,8 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
         solution = found.solve([rest.load(0.0)])
         if not solution.status[0].ok:
             raise SolverError(solution.status[0])
-        if "parts" in solution.scalars:  # the rest shapes are of one model
+        # the rest shapes are all of one number of parts: the study's, or what the first had
+        if "parts" in solution.scalars and "parts" not in scene.parameters:
             scene = dataclasses.replace(
                 scene, parameters={**scene.parameters, "parts": int(solution.scalars["parts"][0])}
             )

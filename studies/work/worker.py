@@ -237,9 +237,8 @@ def _tell_log() -> Callable[[Progress], None]:
         if time.monotonic() < told + _APART:
             return
         told = time.monotonic()
-        step = (
-            f"load step {at.step + 1}" + (f" of {at.steps}" if at.steps else "") if at.steps != 1 else "load"
-        )
+        of_all = f" of {at.steps}" if at.steps else ""
+        step = "load" if at.steps == 1 else f"load step {at.step + 1}{of_all}"
         line = f"{step} at {100 * at.share:.3g} %, iteration {at.iteration}, residual {at.residual:.1e}"
         with contextlib.suppress(OSError):  # a full disk ends no solve
             os.write(1, f"{WHERE}{line}\n".encode())
