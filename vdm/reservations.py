@@ -41,9 +41,8 @@ def reserved(status: Status, bending: float, mesh: float, form: Formulation, par
             remedy = _INSIDE
     elif left > LIMIT and isinstance(form, BoundaryFormulation):
         of_parts = parts > mesh
-        message = (
-            f"the {'parts leave' if of_parts else 'mesh leaves'} about {left:.0%} of the displacement open"
-        )
+        leave = "parts leave" if of_parts else "mesh leaves"
+        message = f"the {leave} about {100 * left:.0f} % of the displacement open"
         remedy = _finer(form, left, "above all at the edges of supports and loads")
         if of_parts:
             remedy = "give more parts"

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from solver_common.arrays import Array
 
-from ..body.surface_measures import facet_area_vectors
+from ..body.surface_measures import facet_area_vectors, piece_volumes, shells
 from ..measures.case import CaseResult
 from ..scene.result import REST_DISTANCE
 from ..study.loads import Constraint
@@ -29,6 +29,7 @@ _REPAIRED = {
     "facets_of_other_pieces": "of other pieces left out",
     "facets_added": "added to close holes",
 }
+FILLED = {"empty": "empty", "fluid": "filled with an incompressible fluid"}
 _ALL_ROUND = (
     0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
 )
@@ -177,8 +178,7 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     lengths = " × ".join(plain(float(length) / factor, 2) for length in extents) + f" {unit}"
     body = [listed(filter(None, shapes)), lengths if len(shapes) == 1 else ""]
     rows.append(("Body", ", ".join(filter(None, body))))
-    if told := _scan_words(cases):
-        rows.append(("Scan", told))
+    rows += [("Cavities", _cavities_words(case)), ("Scan", _scan_words(cases))]
     size = _over(cases, "geometry", "mesh_size", "m")
     nodes = span([len(other.points) for other in cases], "1", 9)
     rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))
@@ -188,6 +188,17 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
         mask = case.regions[constraint.region]
         rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
     return [(what, value) for what, value in rows if value]
+
+
+def _cavities_words(case: CaseResult) -> str:
+    """How many closed surfaces are inside the outer one, how much room they leave and what is in it."""
+    content = case.study.geometry.cavities
+    if content is None:
+        return ""
+    of_facet = shells(case.points, case.triangles)
+    volumes = -piece_volumes(case.points, case.triangles, of_facet, of_facet.max() + 1)[1:]
+    each = span(volumes.tolist(), "m^3", 2)
+    return f"{plural(len(volumes), 'cavity', 'cavities')} of {each}, {FILLED[content]}"
 
 
 def _parts_words(case: CaseResult, name: str) -> str:

@@ -341,6 +341,12 @@ class OneOf(Table):
         raise ValidationError.from_exception_data(cls.__name__, [fault])
 
     @classmethod
+    def missing_key(cls, key: str) -> str:
+        """What is said of a key that is not there: of the kind, which there are."""
+        one_of = f", one of {', '.join(cls.kinds)}" if key == cls.by else ""
+        return super().missing_key(key) + one_of
+
+    @classmethod
     def called(cls) -> str:
         """What a sentence calls it, such as "a sphere"."""
         (word,) = get_args(cls.model_fields[cls.by].annotation)

@@ -211,8 +211,8 @@ def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> Kno
 
 
 def up_to(known: KnownLoads, states: States) -> UpTo | None:
-    """Of all steps that carry a load, from the (C, S) states of a model; None where no step carries any."""
-    if not len(known.loads):
+    """Of all steps that carry a load, from the (C, S) states of a model; None where it answers at none."""
+    if (states[known.cases, known.steps] == LOST).all():
         return None
     order = np.argsort(known.loads, kind="stable")
     loads, depths = known.loads[order], known.depths[order]

@@ -15,6 +15,7 @@ _MINUS = "−"
 # SI unit -> (factor, shown unit), largest first: the first whose factor the value reaches is taken
 _SCALES: dict[str, tuple[tuple[float, str], ...]] = {
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
+    "m^3": ((1e-3, "l"), (1e-6, "ml"), (1e-9, "µl")),
     "Pa": ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"), (1.0, "Pa")),
     "s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs")),
     "N": ((1e3, "kN"), (1.0, "N"), (1e-3, "mN")),

@@ -10,6 +10,7 @@ import pytest
 
 from tests.example_case import asked
 from tests.report.runs import make_case, make_run
+from vdmbench.body.surface_measures import enclosed_volume
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.page import page_html
 from vdmbench.report.section_scene import parts_of, scene, scene_words
@@ -56,8 +57,19 @@ def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:
         "Support": "base, 23 nodes, 73 mm across",
         "Contact": "finger, 0.1 to 0.4 N, hertz pressure, 7 nodes, 31 mm across",
     }
-    scan = told("d", 0.45, 0.05, geometry={"shape": "file", "path": "/of/a/patient.obj", "mesh_size": 0.009})
+    file = {"shape": "file", "path": "/of/a/patient.obj", "mesh_size": 0.009}
+    scan = told("d", 0.45, 0.05, geometry=file)
     assert dict(scene_words(scan, [scan]))["Body"] == "from a file, 100 × 100 × 100 mm"
+    points, inner = scan.points, 0.5 * scan.points
+    hollow = dataclasses.replace(
+        told("e", 0.45, 0.05, geometry={**file, "cavities": "fluid"}),
+        points=np.concatenate([points, inner]),
+        triangles=np.concatenate([scan.triangles, scan.triangles[:, ::-1] + len(points)]),
+        regions={name: np.append(mask, 0 * mask) for name, mask in scan.regions.items()},
+    )
+    volume = 1e6 * enclosed_volume(inner, scan.triangles)
+    filled = f"1 cavity of {volume:.2g} ml, filled with an incompressible fluid"
+    assert dict(scene_words(hollow, [hollow]))["Cavities"] == filled
     heavy = told(
         "c",
         0.45,

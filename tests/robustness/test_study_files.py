@@ -123,6 +123,12 @@ def test_a_file_that_cannot_be_parsed_is_told(path: Path, content: bytes | str, 
     assert fails(path, content).startswith(message)
 
 
+def test_a_table_that_says_no_kind_is_told_the_kinds(path: Path) -> None:
+    unkind = {**BASE, "geometry": {key: v for key, v in BASE["geometry"].items() if key != "shape"}}
+    told = fails(path, tomli_w.dumps(unkind))
+    assert "geometry.shape: is missing: kind of body, one of sphere, ellipsoid, " in told
+
+
 # --- anything at all ---
 
 AWKWARD = [

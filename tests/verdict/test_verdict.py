@@ -190,6 +190,7 @@ def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
     assert whole is not None
     assert none is not None
     assert (whole.all, none.none) == (True, True)
+    assert verdict(make_run([make_case({MODEL: math.nan})])).up_to is None  # it answers at no load
 
 
 @pytest.mark.parametrize(
