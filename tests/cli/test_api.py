@@ -67,19 +67,6 @@ def test_meshes_carry_the_answers(results: Results) -> None:
     assert_allclose(warped.points, expected, rtol=0, atol=1e-12)
 
 
-def test_tables_are_frames() -> None:
-    run = sweep_run()
-    found = Results(Path("run"), run, Path("run/report.html"))
-    metrics, error = found.metrics, "relative_l2_displacement_error"
-    chosen = metrics[
-        (metrics["metric"] == error)
-        & (metrics["model"] == "vdm-paper")
-        & (metrics["tissue.poisson_ratio"] == 0.45)
-        & (metrics["load_factor"] == 1.0)
-    ]
-    assert_allclose(chosen["value"], [0.65, 0.67], rtol=1e-9, atol=0)
-
-
 def test_a_notebook_shows_the_headline_and_no_markup_of_a_study() -> None:
     run = make_run(sweep_run().cases, title="<script>")
     html = Results(Path("run"), run, Path("run/report.html"))._repr_html_()

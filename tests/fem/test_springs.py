@@ -1,4 +1,4 @@
-"""Elastic supports against closed forms, and between a fixed and a free surface."""
+"""Elastic supports against closed forms; towards fixed and free ones: tests/scene/test_elastic_support.py."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from scipy.optimize import brentq
 from fem_reference.condensed import CondensedProblem
 from fem_reference.exact import LayeredSphere
 from fem_reference.finite_strain import FiniteStrainProblem
-from fem_reference.linear import LinearProblem
 from fem_reference.solution import SolverError
 from fem_reference.springs import ElasticSupport
 from tests.fem.convergence import Convergence, radial_error
@@ -147,32 +146,6 @@ def test_sphere_in_an_elastic_bed(poisson_ratio: float, verified: Verified) -> N
         s = problem.solve([b.load(0.5 * inner)])
         record.add(1.0 / n, radial_error(b, s.displacement[0], exact.radial_displacement))
     record.check(verified)
-
-
-@pytest.mark.parametrize("make", [LinearProblem, FiniteStrainProblem])
-def test_springs_lie_between_fixed_and_free(make: type) -> None:
-    """The distance to the fixed surface falls as 1/k, that to the free one as k."""
-    b = cube(2, distort=0.25)
-    side = np.abs(b.surface[:, 0] - 1.0) < 1e-12
-    facets = b.facets_where(lambda x: np.abs(x[:, 0] - 1.0) < 1e-12)
-    base = b.surface[:, 2] == 0.0
-    load = b.load(0.02 * _top(b))
-
-    def solve(held: Array, *supports: ElasticSupport) -> Array:
-        s = make(
-            *b.arrays, held=held, youngs_modulus=1.0, poisson_ratio=0.45, elastic_supports=supports
-        ).solve([load])
-        assert s.status[0].ok
-        return np.asarray(s.displacement[0])
-
-    nothing = base & False
-    for limit, held, constants in (
-        (solve(side), nothing, (1e5, 1e6)),
-        (solve(base), base, (1e-5, 1e-6)),
-    ):
-        gaps = [np.abs(solve(held, ElasticSupport(facets, k, "full")) - limit).max() for k in constants]
-        assert gaps[0] < 1e-3 * np.abs(limit).max()
-        assert 9.5 < gaps[0] / gaps[1] < 10.5
 
 
 def test_springs_that_make_no_sense_are_refused() -> None:

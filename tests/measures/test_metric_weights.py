@@ -93,6 +93,9 @@ def test_distances_and_quantiles_weigh_by_area(uneven: tuple[Surface, list[Histo
         if below >= 0.95 * sum(areas):
             break
     assert_allclose(found["p95_nodal_error"][1], errors[node], **ROUND)
+    assert_allclose(found["max_nodal_error"][1], errors.max(), **ROUND)
+    share = errors.max() / np.linalg.norm(r, axis=1).max()
+    assert_allclose(found["max_nodal_error_relative"][1], share, **ROUND)
 
 
 def test_a_reaction_in_another_direction_is_off_by_the_angle(uneven: tuple[Surface, list[History]]) -> None:

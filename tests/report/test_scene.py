@@ -12,7 +12,6 @@ from tests.example_case import asked
 from tests.report.runs import make_case, make_run
 from vdmbench.body.surface_measures import enclosed_volume
 from vdmbench.measures.case import CaseResult
-from vdmbench.report.page import page_html
 from vdmbench.report.section_scene import parts_of, scene, scene_words
 from vdmbench.verdict.digest import Digest
 
@@ -110,15 +109,3 @@ def test_a_moved_region_and_a_contact_all_round() -> None:
     jaw, air = parts_of(case, [case])
     assert (jaw.label, list(jaw.vector)) == ("2 mm", [0.002, 0.0, 0.0])
     assert air.vector is None, "it presses from all sides"
-
-
-def test_the_page_shows_the_scene_right_below_the_verdict() -> None:
-    html = page_html(make_run([told("a", 0.45, 0.05)]), stills=False)
-    at = html.index('<figure class="scene">')
-    assert html.index('class="verdict"') < at < html.index("<nav")
-    assert 'aria-label="The body at rest. Tissue: Young' in html
-    assert "Contact: finger, 0.1 N, hertz pressure" in html
-    drawn = scene(Digest(make_run([told("a", 0.45, 0.05)])))
-    assert drawn is not None
-    assert drawn.note == ""
-    assert scene(Digest(make_run([]))) is None

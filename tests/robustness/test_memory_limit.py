@@ -7,9 +7,7 @@ import resource
 import subprocess
 from pathlib import Path
 
-import pytest
-
-from tests.command import SCRIPT, vdmbench, write_study
+from tests.command import SCRIPT, write_study
 
 from . import processes
 from .processes import RUN
@@ -28,14 +26,6 @@ def test_a_case_that_takes_too_much_costs_itself_only(tmp_path: Path) -> None:
     assert "Traceback" not in output
     (failure,) = (tmp_path / RUN / "failed").glob("*.json")
     assert json.loads(failure.read_text())["message"] == "out of memory"
-
-
-@pytest.mark.parametrize("size", ["0GB", "lots", "-1GB", "4", "infGB", "4 gb"])
-def test_a_size_that_is_none(tmp_path: Path, size: str) -> None:
-    write_study(tmp_path)
-    result = vdmbench("run", "small.toml", f"--memory={size}", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "write a size such as 500MB or 4GB" in result.stderr
 
 
 def test_a_limit_of_the_shell_in_which_nothing_can_be_loaded_is_told(tmp_path: Path) -> None:
