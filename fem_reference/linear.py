@@ -8,7 +8,6 @@ Source: Hughes, The Finite Element Method, section 4.3.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import time
 from collections.abc import Sequence
@@ -172,25 +171,6 @@ class LinearProblem:
         self.solver: Solver = choose_solver(self.system, solver, expected_loads, memory_limit)
         self._cavities = check_cavities(self.mesh, cavities)
         self.seconds_setup = time.perf_counter() - start
-
-    def with_youngs_modulus(self, youngs_modulus: float) -> LinearProblem:
-        """The same body of another stiffness, on the same matrices and the same factor.
-
-        Everything inside is per shear modulus, so a sweep of Young's modulus costs one set-up. Where moduli vary,
-        `youngs_modulus` is their volume mean, and all keep their ratios.
-
-        Raises
-        ------
-        SolverError
-            For moduli that `LinearProblem` would refuse, and a body on springs, which do not scale with it.
-        """
-        if self.system.springs is not None:
-            message = "springs under a body do not follow its Young's modulus"
-            raise solver_error("bad-material", message, "set up a problem for each")
-        moduli = make_moduli(self.mesh, youngs_modulus, self.poisson_ratio, mixed=self.system.mixed)
-        other = copy.copy(self)
-        other.youngs_modulus, other.shear_modulus = moduli.youngs_modulus, moduli.shear_modulus
-        return other
 
     def fields(self, load: Load) -> Fields:
         """The nodal fields of one load, a single step. Raises SolverError as `solve` does."""

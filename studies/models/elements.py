@@ -50,15 +50,9 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
     problem = LinearProblem(
         **_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads + touched
     )
-    return SetUp(_indented(scene, problem)) if scene.indenter else _linear(problem, scene)
-
-
-def _linear(problem: LinearProblem, scene: Scene) -> SetUp:
-    return SetUp(
-        lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene)),
-        problem,
-        lambda modulus: _linear(problem.with_youngs_modulus(modulus), scene),
-    )
+    if scene.indenter:
+        return SetUp(_indented(scene, problem))
+    return SetUp(lambda loads: problem.solve(fem_loads(loads, problem.mesh), _asked(scene)), problem)
 
 
 def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
@@ -295,7 +289,6 @@ _elements = partial(
 for _model in (
     _elements(
         name="fem-linear",
-        of_any_modulus=_ONE,
         version="3",
         prepare=_small_strain,
         takes=_takes(_BOTH, DEAD) | {"indenter": _ONE, FLUID: _ONE},
@@ -304,7 +297,6 @@ for _model in (
     ),
     _elements(
         name="fem-p1",
-        of_any_modulus=_ONE,
         version="2",
         prepare=_small_strain,
         memory=lambda size, _: 1.8e3 * size.tetrahedra,
@@ -312,7 +304,6 @@ for _model in (
     ),
     _elements(
         name="fem-p2",
-        of_any_modulus=_ONE,
         version="2",
         prepare=_small_strain,
         takes=_takes(_ONE, DEAD, "indenter", FLUID),

@@ -5,7 +5,6 @@ A model may come from another package. What goes wrong in it costs its own answe
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import traceback
 from collections.abc import Callable, Sequence
@@ -48,13 +47,10 @@ class SetUp:
     ----------
     solve : load steps -> Solution; the steps are independent where the model superposes, else one load path
     problem : what answers contact pressures linearly; None where nothing does
-    of_modulus : the set-up of the same body with another Young's modulus [Pa], on the same factor; None where it is
-        another set-up
     """
 
     solve: Callable[[Sequence[SurfaceLoad]], Solution]
     problem: PressureProblem | None = None
-    of_modulus: Callable[[float], SetUp] | None = None
 
 
 class Prepare(Protocol):
@@ -96,7 +92,6 @@ def register(model: Model) -> None:
     for what, keys, known in (
         ("superposes", model.superposes, model.solvers),
         ("benched", model.benched, model.solvers[1:]),
-        ("of_any_modulus", model.of_any_modulus, model.superposes),
         ("takes", model.takes, EXTRAS),
         ("takes", {solver for solvers in model.takes.values() for solver in solvers}, model.solvers),
         ("parameters", model.parameters, {**VdmTable.model_fields, **model.own}),
@@ -144,18 +139,6 @@ class Prepared:
             self.set_up = prepare(scene, solver, name, n_loads)
         except (Exception, SystemExit) as error:  # noqa: BLE001  a model of another package
             self._refusal = _refusal(error, name)
-
-    def of_modulus(self, scene: Scene, name: str) -> Prepared:
-        """The same for a scene that differs in Young's modulus alone, on the same factor."""
-        other = copy.copy(self)
-        other._scene = _as_declared(scene, self.model, name)
-        if self.set_up is not None:
-            assert self.set_up.of_modulus is not None  # the model declares it
-            try:
-                other.set_up = self.set_up.of_modulus(scene.tissue.youngs_modulus)
-            except (Exception, SystemExit) as error:  # noqa: BLE001
-                other.set_up, other._refusal = None, _refusal(error, name)
-        return other
 
     def answer(self, loads: Sequence[SurfaceLoad]) -> ModelResult:
         """The result of some load steps: one load path, or independent of each other where the model superposes."""

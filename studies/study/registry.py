@@ -138,7 +138,6 @@ class Declared:
     memory : (mesh, solver) -> bytes that a set-up takes, about: a plan refuses what has no room; None where little
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
-    of_any_modulus : solvers whose set-up serves the same body with any Young's modulus
     of_solvers : of these the ones that only some of its solvers read, and which
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     benched : the solvers that a benchmark measures beside the default
@@ -157,7 +156,6 @@ class Declared:
     memory: Callable[[Size, str], float] | None = None
     contact_in_setup: bool = False
     takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    of_any_modulus: tuple[str, ...] = ()
     of_solvers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: Mapping[str, Parameter] = field(default_factory=dict)
     benched: tuple[str, ...] = ()

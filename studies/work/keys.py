@@ -52,7 +52,6 @@ class Wanted:
     ----------
     name, level : the model; 0 for the case's own mesh, 1 for its first refinement and so on
     body : key of the set-up
-    factor : key of what a run sets up for it: of all Young's moduli one where the model can
     answers : keys: one per load step where answers superpose, else one for the whole load path
     scales : how much of its answer each step is; () for a path
     """
@@ -60,7 +59,6 @@ class Wanted:
     name: str
     level: int
     body: str
-    factor: str
     answers: tuple[str, ...]
     scales: tuple[float, ...]
 
@@ -107,30 +105,16 @@ def wanted(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None)
         finest = levels if name == study.study.reference else 1
         for level in range(finest):
             about = others | _body(study, inputs, name) | {"mesh": level_key(mesh_key, level)}
-            body = factor = _digest(about)
-            if _is_of_any_modulus(study, name):
-                tissue = {key: value for key, value in about["tissue"].items() if key != "youngs_modulus"}
-                factor = _digest(about | {"tissue": tissue})
-            out.append(_wanted(study, steps, name, level, body, factor))
+            out.append(_wanted(study, steps, name, level, _digest(about)))
     return out
 
 
-def _is_of_any_modulus(study: Study, name: str) -> bool:
-    """Whether a model's set-up serves the study's body with any Young's modulus: nothing else in it has one."""
-    model, solver = models.find(name)
-    supported = any(part.supports for part in study.constraints)
-    inside = bool(study.inclusions) and name not in study.study.homogeneous
-    return solver in model.of_any_modulus and not supported and not inside
-
-
-def _wanted(
-    study: Study, steps: Sequence[Mapping[str, float]], name: str, level: int, body: str, factor: str
-) -> Wanted:
+def _wanted(study: Study, steps: Sequence[Mapping[str, float]], name: str, level: int, body: str) -> Wanted:
     def key(load: Any) -> str:
         return _digest({"body": body, "load": load, "format": _FORMAT})
 
     if not models.superposes(name, penalty=has_penalty(study, name)) or "indenter" in extras_of(study):
-        return Wanted(name, level, body, body, (key(steps),), ())
+        return Wanted(name, level, body, (key(steps),), ())
     sized = [direction(step) for step in steps]
     acting = next(
         (load for load, scale in sized if scale), sized[0][0]
@@ -139,7 +123,6 @@ def _wanted(
         name,
         level,
         body,
-        factor,
         tuple(key(load if scale else acting) for load, scale in sized),
         tuple(scale for _, scale in sized),
     )

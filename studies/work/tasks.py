@@ -48,7 +48,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Body:
-    """One set-up and the answers that are asked of it, which may be for several Young's moduli."""
+    """One set-up and the answers that are asked of it."""
 
     name: str
     level: int
@@ -80,8 +80,8 @@ def _bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
             for key, factors in _factors(case, want):
                 if plan.has(answer_path(plan.cache, key)):
                     continue
-                of = want.factor if want.scales else f"{want.body} {key}"
-                found.setdefault(of, (want.name, want.level, want.factor, case.mesh))
+                of = want.body if want.scales else f"{want.body} {key}"
+                found.setdefault(of, (want.name, want.level, want.body, case.mesh))
                 asked.setdefault(of, {}).setdefault(key, Asked(key, case, factors))
     return [Body(*about, tuple(asked[of].values())) for of, about in found.items()]
 

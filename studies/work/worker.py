@@ -96,27 +96,13 @@ def _answers(payload: Payload) -> None:
     meshes = _meshes(payload, level)
     scenes = _scenes(payload["asked"], meshes)
     asked = [one for one in payload["asked"] if one["key"] in scenes]
-    first = scenes[asked[0]["key"]]
-    prepared = Prepared(first, name, sum(len(one["factors"]) for one in asked))
-    for of_one in _by_modulus(asked, scenes):
-        scene = scenes[of_one[0]["key"]]
-        same = scene.tissue.youngs_modulus == first.tissue.youngs_modulus
-        own = prepared if same else prepared.of_modulus(scene, name)
-        steps = [scenes[one["key"]].load(factor) for one in of_one for factor in one["factors"]]
-        result = own.answer(steps)
-        if level:
-            result = restricted(result, meshes)
-        for place, one in enumerate(of_one):  # of several each is one step
-            answer = result if len(of_one) == 1 else steps_of(result, [place])
-            write_answer(answer_path(cache, one["key"]), answer)
-
-
-def _by_modulus(asked: Sequence[Payload], scenes: Mapping[str, Scene]) -> list[list[Payload]]:
-    """What is asked, by the Young's modulus of its tissue."""
-    found: dict[float, list[Payload]] = {}
-    for one in asked:
-        found.setdefault(scenes[one["key"]].tissue.youngs_modulus, []).append(one)
-    return list(found.values())
+    steps = [scenes[one["key"]].load(factor) for one in asked for factor in one["factors"]]
+    result = Prepared(scenes[asked[0]["key"]], name, len(steps)).answer(steps)
+    if level:
+        result = restricted(result, meshes)
+    for place, one in enumerate(asked):  # of several each is one step
+        answer = result if len(asked) == 1 else steps_of(result, [place])
+        write_answer(answer_path(cache, one["key"]), answer)
 
 
 def _scenes(asked: Sequence[Payload], meshes: Hierarchy) -> dict[str, Scene]:

@@ -112,7 +112,7 @@ def test_boundary_elements_and_their_reference_are_compared_where_either_ends(tm
     study = load_study(_written(tmp_path, [0.1, 1.0]))
     mesh = build_mesh(study.geometry)
     scene, names = build_scene(study, mesh), ("bem:nonlinear", "fem")
-    found = [(Wanted(name, 0, "", "", (), ()), run_model(scene, name)) for name in names]
+    found = [(Wanted(name, 0, "", (), ()), run_model(scene, name)) for name in names]
     places, merged = at_what_was_reached(study, scene, found, lambda _: Hierarchy((mesh,)))
     first, reference, boundary, last = places.tolist()
     assert (first, last) == (1.0, 2.0)
