@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -62,6 +62,13 @@ class Mesh:
 
     def __post_init__(self) -> None:
         read_only([getattr(self, part.name) for part in fields(self)])
+
+    @cached_property
+    def about_centre(self) -> Mesh:
+        """The same mesh, its centre in the origin."""
+        if not any(self.centre):
+            return self
+        return replace(self, points=self.points - np.array(self.centre), centre=(0.0, 0.0, 0.0))
 
     @cached_property
     def surface_points(self) -> Array:

@@ -25,7 +25,7 @@ from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..body.surface_measures import Surface, weighted_norm, without_motions
 from ..scene.measured_points import Placed, place_measured
-from ..scene.regions import measured_on
+from ..scene.regions import of_study
 from ..study.checks import pushing
 from ..study.measured import AXES, Measured, same_load
 from ..study.registry import REFINED
@@ -248,7 +248,8 @@ def hold_against(
     SceneError
         measured points that are not on the mesh.
     """
-    tables = list(zip(measured_on(study, mesh), place_measured(study, mesh), strict=True))
+    mesh = of_study(mesh, study)
+    tables = list(zip(study.measured or (), place_measured(study, mesh), strict=True))
     if not tables:
         return None
     factors = np.array(study.load.history)

@@ -12,7 +12,7 @@ from solver_common.arrays import Array, Mask
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import Surface, facet_area_vectors
-from ..scene.regions import in_mesh_coordinates, select
+from ..scene.regions import of_study, select
 from ..scene.result import ModelResult
 from ..study.loads import Constraint
 from ..study.schema import Study
@@ -71,9 +71,8 @@ class Pushed:
     def on(cls, study: Study, mesh: Mesh, name: str) -> Pushed:
         """The constraint of a name on a mesh."""
         constraint = next(part for part in study.constraints if part.name == name)
-        named = in_mesh_coordinates(study, mesh)
         surface = Surface(mesh.surface_points, mesh.triangles)
-        mask = select(named[constraint.region], mesh, named)
+        mask = select(constraint.region, of_study(mesh, study), study.regions)
         return cls(study, constraint, mask, surface, np.array(study.load.history))
 
     def curve(self, answer: Answer) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ from solver_common.arrays import Array
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface, deformations, enclosed_volumes, weighted_norm
 from ..scene.inclusions import place_inclusions
-from ..scene.regions import in_mesh_coordinates, select
+from ..scene.regions import of_study, select
 from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.errors import InputError
@@ -111,10 +111,9 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
 
     The body, its supports and its loads stay what they are; a smooth profile is evaluated anew.
     """
-    coarsest = hierarchy.meshes[0]
-    named = in_mesh_coordinates(study, coarsest)
+    coarsest = of_study(hierarchy.meshes[0], study)
     lines = {part.region for part in study.constraints if part.kind == "line"}
-    regions = {name: select(region, coarsest, named) for name, region in named.items()}
+    regions = {name: select(region, coarsest, study.regions) for name, region in study.regions.items()}
     masks = {
         name: hierarchy.inherit_line(mask) if name in lines else hierarchy.inherit(mask)
         for name, mask in regions.items()

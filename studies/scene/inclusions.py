@@ -15,14 +15,13 @@ from ..body.surface_measures import pieces
 from ..body.topology import OUTWARD_FACES
 from ..study.schema import Inclusion, Study, Tissue
 from .placed import SceneError
-from .regions import origin, shifted
 
 _PLACES = 24  # along each axis, of which the deepest is told
 
 
 @dataclass(frozen=True)
 class PlacedInclusion:
-    """An inclusion in the coordinates of a mesh, and its (m,) tetrahedra there."""
+    """An inclusion, and its (m,) tetrahedra on a mesh."""
 
     declared: Inclusion
     inside: Mask
@@ -31,8 +30,9 @@ class PlacedInclusion:
 def place_inclusions(
     study: Study, mesh: Mesh, known: Mapping[str, Mask] | None = None
 ) -> tuple[PlacedInclusion, ...]:
-    """The inclusions of a study on a mesh; none on one without tetrahedra, where it is only seen that each lies in
-    the body.
+    """The inclusions of a study on a mesh in its coordinates.
+
+    None on a mesh without tetrahedra, where it is only seen that each lies in the body.
 
     A tetrahedron belongs to a ball or a box where its centroid lies in it, and to the last that it lies in. `known`
     are the tetrahedra where the mesh is a refinement, on which the inclusions are those of the coarse mesh.
@@ -44,29 +44,24 @@ def place_inclusions(
     """
     if not study.inclusions:
         return ()
-    by = tuple(origin(study, mesh.centre).tolist())
-    moved = [_moved(inclusion, by) for inclusion in study.inclusions]
     if len(mesh.tetrahedra):
-        return on_mesh(moved, mesh, known, by)
-    for k, part in enumerate(moved):
-        if (told := _outside(part, mesh, by)) and not _within(part, mesh.surface_points).any():
+        return on_mesh(study.inclusions, mesh, known)
+    for k, part in enumerate(study.inclusions):
+        if (told := _outside(part, mesh)) and not _within(part, mesh.surface_points).any():
             raise SceneError(f"inclusion {part.name!r}: {told}", ("inclusions", k))
     return ()
 
 
 def on_mesh(
-    declared: Sequence[Inclusion],
-    mesh: Mesh,
-    known: Mapping[str, Mask] | None = None,
-    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    declared: Sequence[Inclusion], mesh: Mesh, known: Mapping[str, Mask] | None = None
 ) -> tuple[PlacedInclusion, ...]:
-    """The same of inclusions in the mesh's own coordinates, those of the study being from `origin` (3,)."""
+    """The same on a mesh with tetrahedra."""
     inside = [
         known[part.name] if known else _inside(part, mesh, ("inclusions", k))
         for k, part in enumerate(declared)
     ]
     for k, part in enumerate(declared):
-        elsewhere = "" if inside[k].any() else _outside(part, mesh, origin)
+        elsewhere = "" if inside[k].any() else _outside(part, mesh)
         inside[k] = inside[k] & ~np.logical_or.reduce(
             [np.zeros(len(mesh.tetrahedra), bool), *inside[k + 1 :]]
         )
@@ -142,18 +137,8 @@ def interfaces(mesh: Mesh, inclusions: Sequence[PlacedInclusion]) -> tuple[Index
     return faces[first[~alike]], sides, label[regions[1:]]
 
 
-def _moved(inclusion: Inclusion, by: tuple[float, ...]) -> Inclusion:
-    if inclusion.ball is not None:
-        ball = inclusion.ball.model_copy(update={"center": shifted(inclusion.ball.center, by)})
-        return inclusion.model_copy(update={"ball": ball})
-    if inclusion.box is not None:
-        corners = {"min": shifted(inclusion.box.min, by), "max": shifted(inclusion.box.max, by)}
-        return inclusion.model_copy(update={"box": inclusion.box.model_copy(update=corners)})
-    return inclusion
-
-
-def _outside(part: Inclusion, mesh: Mesh, origin: Sequence[float]) -> str:
-    """Where the body is deepest, of an inclusion whose middle lies outside it, from `origin` (3,); else nothing."""
+def _outside(part: Inclusion, mesh: Mesh) -> str:
+    """Where the body is deepest, of an inclusion whose middle lies outside it; else nothing."""
     ends = (part.ball.center,) if part.ball else (part.box.min, part.box.max) if part.box else ()
     points, triangles = mesh.surface_points, mesh.triangles
     if not ends or solid_angles(np.mean(ends, axis=0)[None], points, triangles)[0] > 0.5:
@@ -163,7 +148,7 @@ def _outside(part: Inclusion, mesh: Mesh, origin: Sequence[float]) -> str:
     axes = np.linspace(points.min(axis=0), points.max(axis=0), _PLACES)
     places = np.stack(np.meshgrid(*axes.T, indexing="ij"), axis=-1).reshape(-1, 3)
     depth = KDTree(points).query(places)[0] * (solid_angles(places, points, triangles) > 0.5)
-    told = ", ".join(f"{1000.0 * x:.3g}" for x in places[depth.argmax()] - np.array(origin))
+    told = ", ".join(f"{1000.0 * x:.3g}" for x in places[depth.argmax()])
     return (
         f"its middle lies outside the body, which is deepest near ({told}) mm, {1000.0 * depth.max():.3g} mm from "
         "its surface"
@@ -181,7 +166,7 @@ def _within(inclusion: Inclusion, points: Array) -> Mask:
 
 
 def _inside(inclusion: Inclusion, mesh: Mesh, place: tuple[str, int]) -> Mask:
-    """(m,) tetrahedra of an inclusion in the mesh's coordinates, whatever others take."""
+    """(m,) tetrahedra of an inclusion, whatever others take."""
     if inclusion.group is not None:
         if inclusion.group not in mesh.volumes:
             known = ", ".join(sorted(mesh.volumes)) or "none"

@@ -20,7 +20,7 @@ from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
 from .placed import PlacedConstraint, PlacedIndenter, place_indenter
 from .placed import SceneError as SceneError
-from .regions import body_extent, in_mesh_coordinates, lies_outside, origin, select
+from .regions import body_extent, lies_outside, of_study, select
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Scene:
 
     Attributes
     ----------
-    mesh : the mesh that all models share
+    mesh : the mesh that all models share, in the coordinates of the study
     tissue : E [Pa], nu, density [kg/m^3]
     parameters : VDM parameters that the study sets, by name; what is left out follows a rule
     overrides : the same for single models, by full model name
@@ -207,7 +207,7 @@ def build_scene(
     SceneError
         a region that selects nothing, or contact on a node that is held.
     """
-    regions = in_mesh_coordinates(study, mesh)
+    mesh, regions = of_study(mesh, study), study.regions
     if masks is None:
         masks = {name: select(region, mesh, regions) for name, region in regions.items()}
     acting = []
@@ -279,8 +279,7 @@ def _require_nodes(name: str, study: Study, mesh: Mesh, masks: Mapping[str, Mask
     if masks[name].any():
         return
     told = f"region {name!r} selects no node of the mesh"
-    points = mesh.surface_points - origin(study, mesh.centre)
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
     if not lies_outside(study.regions[name], low, high):
         raise SceneError(f"{told}; enlarge it or take a smaller mesh_size", place)
     raise SceneError(f"{told}: {body_extent(low, high)}", place)

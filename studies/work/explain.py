@@ -9,7 +9,7 @@ from typing import Any
 from .. import models
 from ..body.mesh_cache import mesh_path, read_mesh
 from ..machine import machine_memory
-from ..scene.regions import body_extent, lies_outside, origin
+from ..scene.regions import body_extent, lies_outside
 from ..study.config import holds_nothing
 from ..study.errors import Finding, MeshError, plural
 from ..study.files import told_directory, without_folders
@@ -218,7 +218,7 @@ def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[Finding]:
         for case in cases
         for name in dict.fromkeys(constraint.region for constraint in case.study.constraints)
         if (body := expected_mesh(plan, plan.meshes[case.mesh])) is not None
-        for start in [origin(case.study, body.centre.tolist())]
+        for start in [0.5 * (body.low + body.high) * (case.study.geometry.coordinates == "centred")]
         for low, high in [(body.low - start, body.high - start)]
         if lies_outside(case.study.regions[name], low - body.reach, high + body.reach)
     ]

@@ -86,13 +86,12 @@ class PlannedCase:
 
 @dataclass(frozen=True)
 class Expected:
-    """A mesh's size, its body's box (3,) (3,) [m], how far it may reach beyond [m], and its centre (3,) [m]."""
+    """A mesh's size, its body's box (3,) (3,) [m], and how far it may reach beyond [m]."""
 
     size: Size
     low: Array
     high: Array
     reach: float
-    centre: Array
 
     @classmethod
     def of_mesh(cls, mesh: Mesh, *, volume: bool = True) -> Expected:
@@ -101,7 +100,7 @@ class Expected:
         corners = points[mesh.triangles]
         reach = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
         size = Size(float(len(points)), float(len(mesh.tetrahedra) if volume else 0))
-        return cls(size, points.min(axis=0), points.max(axis=0), float(reach), np.array(mesh.centre))
+        return cls(size, points.min(axis=0), points.max(axis=0), float(reach))
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,7 @@ class PlannedMesh:
             area, inside = surface.area, surface.volume
             high, centre = surface.points.max(axis=0), surface.centre
         size = Size(*expected_size(area, inside if self.volume else 0.0, mesh_size))
-        return Expected(size, centre - high, centre + high, mesh_size, centre)
+        return Expected(size, centre - high, centre + high, mesh_size)
 
 
 @dataclass(frozen=True)

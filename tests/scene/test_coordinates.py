@@ -18,7 +18,7 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
 from vdmbench.measures.reference import level_scene
 from vdmbench.report.export import surface_fields
-from vdmbench.scene.regions import measured_on
+from vdmbench.scene.measured_points import place_measured
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import StudyError, load_study
 from vdmbench.study.schema import Study
@@ -75,13 +75,14 @@ def test_the_same_regions_by_the_file_and_by_the_middle(tmp_path: Path, ball: Me
         assert_array_equal(there.regions[name], here.regions[name], err_msg=name)
     largest = abs(here.facet_pressure).max()
     assert_allclose(there.facet_pressure, here.facet_pressure, rtol=0, atol=1e-9 * largest)
-    point = {"x": 0.0, "y": 0.0, "z": 0.05, "displacement_z": 0.0, "uncertainty": 1e-3}
-    probe = {"name": "probe", "points": [point], "surface": [(0.0, 0.0, 0.05)]}
-    tables = by_middle.model_dump(by_alias=True, exclude_none=True) | {"measured": [probe]}
-    (table,) = measured_on(Study.model_validate(tables), mesh)
-    (found,) = table.points
-    assert_allclose([found.x, found.y, found.z], PLACE + np.array([0, 0, 0.05]), rtol=0, atol=1e-12)
-    assert_allclose(table.surface[0], PLACE + np.array([0, 0, 0.05]), rtol=0, atol=1e-12)
+    placed = []
+    for study, start in ((by_file, PLACE), (by_middle, np.zeros(3))):
+        x, y, z = start + np.array([0.003, 0.001, 0.05])
+        point = {"x": x, "y": y, "z": z, "displacement_z": 0.0, "uncertainty": 1e-3}
+        tables = study.model_dump() | {"measured": [{"name": "probe", "points": [point]}]}
+        placed += place_measured(Study.model_validate(tables), mesh)
+    assert_array_equal(placed[0].facet, placed[1].facet)
+    assert_allclose(placed[0].weights, placed[1].weights, rtol=0, atol=1e-9)
     finer = [level_scene(study, refined(mesh, 1)).facet_pressure for study in (by_file, by_middle)]
     assert_allclose(finer[0], finer[1], rtol=0, atol=1e-9 * abs(finer[0]).max())
 
