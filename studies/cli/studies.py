@@ -193,9 +193,10 @@ class Progress:
 
 def _bar() -> Any:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (BarColumn(20), MofNCompleteColumn(), TimeRemainingColumn(elapsed_when_finished=True))
+    # no time that remains: pieces differ a thousandfold
+    columns = (BarColumn(20), MofNCompleteColumn(), TimeElapsedColumn())
     what = TextColumn("{task.description}", markup=False)
     bar = Progress(*columns, what, console=Console(stderr=True), transient=True)
     bar.start()
