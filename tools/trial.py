@@ -1,23 +1,53 @@
-"""Bodies in parts on trial: slender, thick, thin-walled, forked and hollow ones, and lumps, beside elements."""
+"""Bodies in parts on trial: slender, thick, thin-walled, forked and hollow ones, and lumps, beside elements.
+
+And what parts cost on finer and finer meshes, beside one body of boundary elements and its sparse form.
+"""
 
 from __future__ import annotations
 
+import math
+import resource
+import signal
+import sys
+import tempfile
+import time
+import tomllib
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gmsh
 import numpy as np
 import tomli_w
 
 from tools.documents import ROOT, RUNS, finished, show, table
-from tools.evidence import EVIDENCE, MEASURES, kept, slashed
+from tools.evidence import EVIDENCE, MEASURES, as_per_cent, kept, slashed
+from vdmbench.bench import amount, seconds
+from vdmbench.body.mesh_cache import mesh_from_cache
+from vdmbench.body.refine import refined
+from vdmbench.body.surface_measures import Surface, relative_l2
+from vdmbench.machine import cache_directory
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.frame import reference_bar, series
+from vdmbench.measures.reference import level_scene, own_error, restricted
+from vdmbench.models import Prepared
+from vdmbench.models.frames import contact_frame, median_seconds
+from vdmbench.scene.result import ModelResult
 from vdmbench.store.cases import read_run
+from vdmbench.study.config import load_study
+from vdmbench.study.files import merged
+from vdmbench.verdict.formatting import NOTHING
 
 OWN = EVIDENCE["parts"]
 FORM = OWN["study"]["study"]["models"][0]
+COSTS = EVIDENCE["costs"]
+COST_HEAD = [
+    "nodes", "form", "parts", "set-up", "memory", "frame, contact", "small strain", "first answer", "frame",
+    "large rotation", "all",
+]  # fmt: skip
 HEAD = ["body", "load", "nodes", "moves", "parts", "error", "±", "told"]
 
 
@@ -125,8 +155,131 @@ def summed_up(lines: Sequence[Sequence[str]]) -> str:
     )
 
 
-def main(_: str, arguments: Sequence[str]) -> None:
-    """Run all and write the page's table."""
+# --- costs ---
+
+
+class Cost(NamedTuple):
+    """What a form answers and takes on a mesh, in seconds of processor time.
+
+    `contact` is a frame of the contact by its columns, NaN where there are none; `whole` all of set-up, answers and
+    what is told of their errors.
+    """
+
+    nodes: int
+    surface: Surface
+    result: ModelResult
+    contact: float
+    whole: float
+
+
+def cost(text: str, form: str, level: int) -> Cost:
+    """Of a form, "model" or "model/parts", on a study's mesh split so often; in a process of its own.
+
+    Raises
+    ------
+    MemoryError, TimeoutError
+        what takes more than the limits of the entry.
+    """
+
+    def too_long(*_: object) -> None:
+        raise TimeoutError(f"more than {COSTS['seconds'] / 60:.0f} minutes")
+
+    signal.signal(signal.SIGXCPU, too_long)
+    resource.setrlimit(resource.RLIMIT_CPU, (COSTS["seconds"], COSTS["seconds"] + 60))
+    resource.setrlimit(resource.RLIMIT_AS, (int(COSTS["bytes"]),) * 2)
+    time.perf_counter = time.thread_time  # the clock that models read: others take none of it
+    model, _, parts = form.partition("/")
+    own = {"study": {"models": [model]}, **({"vdm": {"parts": int(parts)}} if parts else {})}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "costs.toml"
+        path.write_text(tomli_w.dumps(merged(tomllib.loads(text), own)))
+        study = load_study(path)
+    hierarchy = refined(mesh_from_cache(study.geometry, cache_directory()), level)
+    mesh, scene = hierarchy.meshes[0], level_scene(study, hierarchy)
+    start = time.thread_time()
+    prepared = Prepared(scene, model, len(scene.load_factors))
+    result = restricted(prepared.answer(scene.loads), hierarchy)
+    whole = time.thread_time() - start
+    contact, problem = math.nan, prepared.set_up.problem if prepared.set_up else None
+    if problem is not None and not model.startswith("fem"):
+        frame, pressure = contact_frame(problem, scene), scene.contact_pressure[scene.contact]
+        frame(pressure)
+        frame(pressure)  # shortens the columns
+        contact = median_seconds(lambda: frame(pressure))
+    return Cost(len(mesh.surface_nodes), Surface(mesh.surface_points, mesh.triangles), result, contact, whole)
+
+
+def measured(text: str, form: str, level: int = 0) -> Cost | str:
+    """The cost of a form, or why there is none."""
+    print(form, level, file=sys.stderr)
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        try:
+            found = pool.submit(cost, text, form, level).result()
+        except TimeoutError as error:
+            return f"{error}"
+        except (MemoryError, BrokenProcessPool):
+            return f"more than {COSTS['bytes'] / 1e9:.0f} GB"
+    status = found.result.status[0]
+    return found if status.ok else status.message
+
+
+def costs(size: str) -> Iterator[list[str]]:
+    """The lines of one mesh: every form beside `fem-linear` at a thousandth of the load and `fem` at all of it."""
+
+    def text(factors: Sequence[float]) -> str:
+        given = {"geometry": {"mesh_size": size}, "load": {"factors": factors}}
+        return tomli_w.dumps(merged(COSTS["study"], given))
+
+    factors = COSTS["factors"]
+    references = [
+        [found for level in (1, 0) if isinstance(found := measured(text(at), model, level), Cost)]
+        for model, at in (("fem-linear", factors[:1]), ("fem", factors[:2]))
+    ]
+    for form in COSTS["forms"]:
+        found = measured(text(factors), form)
+        model, _, parts = form.partition("/")
+        nodes = str(references[0][-1].nodes)
+        if isinstance(found, str):
+            yield [nodes, model, parts or "1", found, *[NOTHING] * 7]
+            continue
+        result, surface = found.result, found.surface
+        errors = [
+            error_of(result.displacement[at], levels, surface, at) for at, levels in enumerate(references)
+        ]
+        steps = result.seconds_per_step
+        yield [
+            nodes, model, parts or "1", seconds(result.seconds_setup), amount(result.peak_bytes, "B"),
+            seconds(found.contact), errors[0], seconds(steps[1]), seconds(float(np.median(steps[2:]))), errors[1],
+            seconds(found.whole),
+        ]  # fmt: skip
+
+
+def write_costs(sizes: Sequence[str]) -> None:
+    """The page's table of costs, with meshes of these sizes measured anew."""
+    lines = [line for size in sizes for line in costs(size)]
+    lines = sorted(kept(COSTS["all_rows"], COST_HEAD, lines), key=lambda line: int(line[0]))
+    show(ROOT / COSTS["document"], COSTS["part"], table(COST_HEAD, lines))
+
+
+def error_of(u: np.ndarray, levels: Sequence[Cost], surface: Surface, step: int) -> str:
+    """Of a displacement (N, 3) against the finest of some levels at a step, ± that one's own."""
+    if not np.isfinite(u).all():
+        return "no balance"
+    if not levels:
+        return NOTHING
+    factors = np.array(COSTS["factors"][: len(levels[0].result.displacement)])
+    off = relative_l2(u, levels[0].result.displacement[step], surface.areas)
+    if len(levels) == 1:
+        return f"{as_per_cent(off)} ± ?"
+    own = own_error(surface, [level.result for level in levels], factors)
+    return f"{as_per_cent(off)} ± {as_per_cent(own['gci:relative_l2_displacement_error'])}"
+
+
+def main(name: str, arguments: Sequence[str]) -> None:
+    """Run all and write the page's table: of the trial, or of what parts cost."""
+    if name == "costs":
+        write_costs(arguments or COSTS["sizes"])
+        return
     surface = Path(arguments[0]).resolve() if arguments else None
     lines = kept(OWN["all_rows"], HEAD, list(rows(surface)))
     document = ROOT / OWN["document"]
