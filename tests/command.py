@@ -107,6 +107,8 @@ def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subproces
         # two thirds of a small run: `test_times` and the tests of the report show them
         mock.patch("vdmbench.work.run._time_frames"),
         mock.patch("vdmbench.report.plots.svg_of", return_value="<svg></svg>"),
+        mock.patch("vdmbench.report.section_scene.scene_svg", return_value="<svg></svg>"),
+        mock.patch("vdmbench.report.picture.png", return_value=b""),
     ):
         try:
             main(words)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,54 +46,61 @@ def _own_signals() -> Iterator[None]:
         yield
 
 
-STIFFNESSES: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray | None]] = {}
-MOST, MOST_NODES = 6, 800  # bodies that are kept, the last that were asked for: up to 46 MB each
+class Kept:
+    """What a pure function gave for what it was given, of the last `most` things that it was asked for."""
+
+    def __init__(self, most: int) -> None:
+        self.most, self.known = most, dict[Any, Any]()
+
+    def __call__(self, asked: Any, make: Callable[[], Any]) -> Any:
+        """The answer, made where it is not known."""
+        found = self.known[asked] = self.known.pop(asked) if asked in self.known else make()
+        if len(self.known) > self.most:
+            del self.known[next(iter(self.known))]
+        return found
+
+
+STIFFNESSES, COARSE, PRESSURES = Kept(6), Kept(30), Kept(30)
+MOST_NODES = 800  # of a body whose stiffness is kept: up to 46 MB each
 
 
 @pytest.fixture(autouse=True)
-def _integrated_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The integrals over a body's facets, which many tests ask for, are made once for each body."""
-    operators = sys.modules.get("vdm.boundary.operators")  # a second of imports, which few need
-    if operators is None:
-        return
-    made = operators.surface_stiffness
+def _made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What many tests ask for of a few bodies: integrals over facets, coarse surfaces, smooth pressures."""
+    on_facets = placed.on_facets
 
-    def known(facets: Any, nu: float, dtype: Any = None, rims: Any = None) -> np.ndarray:
+    def pressures(profile: str, region: Any, mesh: Any, rule: Any) -> np.ndarray:
+        asked = (profile, repr(region), mesh.surface_points.tobytes(), mesh.triangles.tobytes())
+        return PRESSURES(asked, lambda: on_facets(profile, region, mesh, rule)).copy()
+
+    monkeypatch.setattr(placed, "on_facets", pressures)
+    places = ("vdm.boundary.operators", "vdm.boundary.coarsening")  # a second of imports, which few need
+    operators, coarsening = map(sys.modules.get, places)
+    if operators is None or coarsening is None:
+        return
+    surface_stiffness, coarsened = operators.surface_stiffness, coarsening.coarsened
+
+    def stiffnesses(facets: Any, nu: float, dtype: Any = None, rims: Any = None) -> np.ndarray:
+        def make() -> tuple[np.ndarray, np.ndarray | None]:
+            return surface_stiffness(facets, nu, dtype, rims), rims.follows.copy() if rims else None
+
         if len(facets.points) > MOST_NODES:
-            return made(facets, nu, dtype, rims)
+            return make()[0]
         parts = [facets.points, facets.triangles, facets.numbers]
         parts += [rims.body.points, rims.body.triangles] if rims else []
         dtype = dtype or operators.precision(len(facets.points))
-        key = (*(part.tobytes() for part in parts), nu, dtype)
-        if key not in STIFFNESSES:
-            whole = made(facets, nu, dtype, rims)
-            STIFFNESSES[key] = whole, rims.follows.copy() if rims else None
-        found, follows = STIFFNESSES[key] = STIFFNESSES.pop(key)
-        if len(STIFFNESSES) > MOST:
-            del STIFFNESSES[next(iter(STIFFNESSES))]
+        found, follows = STIFFNESSES((*(part.tobytes() for part in parts), nu, dtype), make)
         if rims:
             rims.follows[:] = follows
         return found.copy()
 
-    monkeypatch.setattr(operators, "surface_stiffness", known)
+    def coarse(surface: Any, count: int, held: Any = None) -> Any:
+        parts = [surface.points, surface.triangles, np.zeros(0) if held is None else held]
+        asked = (count, *(part.tobytes() for part in parts))
+        return COARSE(asked, lambda: coarsened(surface, count, held))
 
-
-PRESSURES: dict[tuple[object, ...], np.ndarray] = {}
-
-
-@pytest.fixture(autouse=True)
-def _pressed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same of smooth pressures over its facets: most small studies press the same few balls."""
-    made = placed.on_facets
-
-    def known(profile: str, region: Any, mesh: Any, rule: Any) -> np.ndarray:
-        key = (profile, repr(region), mesh.surface_points.tobytes(), mesh.triangles.tobytes())
-        found = PRESSURES[key] = PRESSURES.pop(key) if key in PRESSURES else made(profile, region, mesh, rule)
-        if len(PRESSURES) > 5 * MOST:
-            del PRESSURES[next(iter(PRESSURES))]
-        return found.copy()
-
-    monkeypatch.setattr(placed, "on_facets", known)
+    monkeypatch.setattr(operators, "surface_stiffness", stiffnesses)
+    monkeypatch.setattr(coarsening, "coarsened", coarse)
 
 
 @pytest.fixture
