@@ -24,8 +24,7 @@ from .measures.case import CaseResult, Run
 from .measures.frame import at_full_load, frame
 from .measures.metrics import METRICS, Sense
 from .measures.uncertainty import SIGNED
-from .store.hdf5 import StoreError
-from .store.plain import typed
+from .store.plain import StoreError, typed
 from .study.kinds import safe_name
 from .verdict.acceptance import WORDS
 from .verdict.digest import digest_of

@@ -94,7 +94,7 @@ def _complain_of(error: BaseException) -> int:
         case OSError(filename=name, strerror=words):
             return complain(f"{name}: {words}" if name else str(words or error), MACHINE)
         case ValueError():
-            from ..store.hdf5 import StoreError
+            from ..store.plain import StoreError
 
             return complain(str(error), DAMAGED if isinstance(error, StoreError) else USAGE)
     import traceback

@@ -57,7 +57,7 @@ def make_plan(
 
 def require_own(plan: Plan, options: argparse.Namespace) -> None:
     """Raises InputError where the directory holds no run, or that of another surface file of the same name."""
-    from ..store.hdf5 import StoreError
+    from ..store.plain import StoreError
     from ..store.run_directory import read_plan, refuse_foreign
     from ..work.explain import surfaces
 

@@ -1,4 +1,4 @@
-"""Tables and report of a run directory, from what is stored there alone."""
+"""Table and report of a run directory, from what is stored there alone."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 
 from ..machine import lock
 from ..measures.case import Run
-from ..store.cases import read_run, write_study
+from ..store.cases import read_run, write_metrics
 from ..store.run_directory import REPORT, keep_told, read_plan
 from ..verdict.digest import digest_of
 
 
 def rebuild(directory: Path) -> tuple[Run, Path]:
-    """Write the tables and the report from the stored results alone; returns the run and the report's path."""
+    """Write the table and the report from the stored results alone; returns the run and the report's path."""
     from .headline import summary
     from .page import write_report  # plotting is slow to load, and who only plans draws nothing
 
@@ -21,7 +21,7 @@ def rebuild(directory: Path) -> tuple[Run, Path]:
     report = directory / REPORT
     with lock(directory / ".lock-report", wait=True):  # the last of several shards sees all
         run = read_run(directory, damaged=True)
-        write_study(directory, run, digest_of(run).table)
+        write_metrics(directory, run, digest_of(run).table)
         write_report(run, report)
         run = dataclasses.replace(run, told=summary(run))
         keep_told(directory, run.plan, run.told or {})

@@ -18,6 +18,14 @@ T = TypeVar("T")
 Reader = Callable[[Any], Any]
 
 
+class StoreError(ValueError):
+    """A stored result is damaged or of another schema; the message says which file and what to do."""
+
+
+class OlderSchemaError(StoreError):
+    """A stored result of an older version of the program, sound for that one."""
+
+
 class MisfitError(ValueError):
     """Data of another shape: where, from the inside out, and what should be there."""
 

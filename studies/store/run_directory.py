@@ -18,11 +18,10 @@ from ..machine import json_text, write_atomically
 from ..scene.result import FrameTimes
 from ..study.kinds import safe_name
 from ..study.schema import Study
-from .hdf5 import StoreError
-from .plain import typed
+from .plain import StoreError, typed
 
 PLAN, STUDY, RESOLVED, TIMES = "plan.json", "study.toml", "resolved.toml", "times.json"
-REPORT, STUDY_FILE, METRICS_FILE, TOLD = "report.html", "study.h5", "metrics.csv", "told.json"
+REPORT, METRICS_FILE, TOLD = "report.html", "metrics.csv", "told.json"
 CASE_SUFFIX = ".vtkhdf"
 _SHORT, _READABLE = 12, 100  # characters of the hash, and of the label at most, in the name of a file
 _FOLDERS = ("cases", "failed")
@@ -234,7 +233,7 @@ def _made_of(directory: Path, plan: Mapping[str, Any]) -> str:
             file.seek(-_SUM_BYTES, os.SEEK_END)
             found.update(file.read())
         found.update(b"|")
-    others = [directory / name for name in (TIMES, STUDY_FILE, METRICS_FILE, REPORT)]
+    others = [directory / name for name in (TIMES, METRICS_FILE, REPORT)]
     for path in (*others, *sorted((directory / "failed").glob("*.json"))):
         with suppress(OSError):
             found.update(path.name.encode() + path.read_bytes())

@@ -14,7 +14,7 @@ import tomli_w
 from ..machine import LockedError, clear_abandoned, lock, write_atomically
 from ..measures.case import Run
 from ..store.cases import told_run
-from ..store.hdf5 import StoreError
+from ..store.plain import StoreError
 from ..store.run_directory import (
     REPORT,
     RESOLVED,

@@ -18,7 +18,7 @@ from vdmbench.cli.arguments import parse
 from vdmbench.gate import BaselineError, Finding, accept, compare, counts, read_baseline
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import METRICS
-from vdmbench.store.hdf5 import StoreError
+from vdmbench.store.plain import StoreError
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.files import study_path
 from vdmbench.study.schema import Study

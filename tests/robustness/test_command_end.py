@@ -9,7 +9,7 @@ import pytest
 from tests.command import vdmbench
 from vdmbench.cli.arguments import verbs
 from vdmbench.cli.main import _complain_of
-from vdmbench.store.hdf5 import OlderSchemaError, StoreError
+from vdmbench.store.plain import OlderSchemaError, StoreError
 from vdmbench.study.errors import InputError, Problem, StudyError
 
 

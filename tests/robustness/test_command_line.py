@@ -42,7 +42,7 @@ RUN = Path("results/runs/small")
 
 def test_a_run_leaves_all_that_the_contract_names(finished: Path) -> None:
     run = finished / RUN
-    for name in ("study.toml", "resolved.toml", "plan.json", "study.h5", "metrics.csv", "report.html"):
+    for name in ("study.toml", "resolved.toml", "plan.json", "metrics.csv", "report.html"):
         assert (run / name).stat().st_size > 0, name
     assert len(list((run / "cases").glob("*.vtkhdf"))) == 2
     assert len(list((finished / "results/cache/meshes").glob("*.npz"))) == 1, "both cases share a mesh"

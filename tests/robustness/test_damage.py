@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from tests.in_process import outcomes_of
 from vdmbench.body.mesh_cache import read_mesh
 from vdmbench.store import cases as store
-from vdmbench.store.hdf5 import Stored, StoreError
+from vdmbench.store.plain import StoreError
 from vdmbench.study.config import expand, load_study
 from vdmbench.work.cache import read_answer
 from vdmbench.work.plan import Plan, make_plan
@@ -24,11 +24,10 @@ from .processes import CACHE, RUN, planned_hash
 
 KINDS = {
     "case": f"{RUN}/cases/*.vtkhdf",
-    "study": f"{RUN}/study.h5",
     "mesh": f"{CACHE}/meshes/*.npz",
     "answer": f"{CACHE}/answers/*.npz",
 }
-SEAL = {"case": 82, "study": 82, "mesh": 32, "answer": 32}  # bytes at the end
+SEAL = {"case": 82, "mesh": 32, "answer": 32}  # bytes at the end
 
 
 @pytest.fixture
@@ -44,11 +43,7 @@ def _reads(kind: str, path: Path) -> bool:
     if kind == "answer":
         return read_answer(path) is not None
     try:
-        if kind == "case":
-            store.read_case(path, planned_hash(path))
-        else:
-            with Stored(path, store.SCHEMA):
-                pass
+        store.read_case(path, planned_hash(path))
     except StoreError as error:
         return str(path) not in str(error)
     return True

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-import h5py
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -15,6 +15,7 @@ from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.measures.frame import value_bar
 from vdmbench.measures.uncertainty import INDENTATION_FORCE
 from vdmbench.store import cases as store
+from vdmbench.store.run_directory import METRICS_FILE
 from vdmbench.verdict.digest import Digest
 
 REFINED = "fem-linear refined"
@@ -29,34 +30,31 @@ def refined_case(levels: float) -> CaseResult:
 
 
 @pytest.mark.parametrize(("levels", "share"), [(2.0, 1.25), (3.0, 1.25 / 3), (4.0, 1.25 / 7)])
-def test_study_tables_hold_load_factors_and_bars(tmp_path: Path, levels: float, share: float) -> None:
+def test_the_table_of_a_run_holds_load_factors_and_bars(tmp_path: Path, levels: float, share: float) -> None:
     """The reference's own drift has a bar of its own: 1.25 |fine - coarse| / (r - 1), r = 2^(levels - 1)."""
     first = refined_case(levels)
     second = make_case({"vdm-paper": 0.1}, reference=REFINED, subdivisions=0, steps=(0.5, -2.0), label="bare")
-    store.write_study(tmp_path, make_run([first, second]))
+    store.write_metrics(tmp_path, make_run([first, second]))
+    table = pd.read_csv(tmp_path / METRICS_FILE)
     fine, coarse = (first.metrics[name][DRIFT].values[-1] for name in (REFINED, "fem-linear"))
     assert abs(fine - coarse) > 1e-6
     bars = {
-        f"{REFINED}/{DRIFT}": share * abs(fine - coarse),
-        "vdm-paper/max_nodal_error": 2e-6,
-        "fem-linear/max_nodal_error": 2e-6,
+        (REFINED, DRIFT): share * abs(fine - coarse),
+        ("vdm-paper", "max_nodal_error"): 2e-6,
+        ("fem-linear", "max_nodal_error"): 2e-6,
     }
-    with h5py.File(tmp_path / store.STUDY_FILE) as file:
-        assert_array_equal(file["load_factor"], [[0.25, 0.5, 0.75, 1.0], [0.5, -2.0, np.nan, np.nan]])
-        found: list[str] = []
-        file["reference_error"].visititems(
-            lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None
-        )
-        for name, bar in bars.items():
-            table = file["reference_error"][name]
-            assert_allclose(table, [bar, np.nan], rtol=1e-12, atol=0, err_msg=name)
-            assert [dimension.label for dimension in table.dims] == ["cases"], name
+    found = table.dropna(subset="reference_error").set_index(["model", "metric"])
+    assert (found["case"] == first.hash[:12]).all()
+    for name, bar in bars.items():
+        assert_allclose(found.loc[[name], "reference_error"], [bar], rtol=1e-12, atol=0, err_msg=str(name))
     others = {
-        f"{REFINED}/{metric}"
+        (REFINED, metric)
         for metric, series in first.metrics[REFINED].items()
         if np.isfinite(series.values[-1])
     }
-    assert set(found) == bars.keys() | others, "what has no number is left out"
+    assert set(found.index) == bars.keys() | others, "what has no number is left out"
+    of_second = table[(table["case"] == second.hash[:12]) & (table["model"] == "vdm-paper")]
+    assert_array_equal(of_second[of_second["metric"] == "max_nodal_error"]["load_factor"], [0.5, -2.0])
 
 
 def test_the_bar_of_three_levels_goes_before_one_of_the_outer_two() -> None:
