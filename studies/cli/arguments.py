@@ -93,7 +93,7 @@ def run_directory(text: str) -> Path:
     """A directory with a plan, or one that has lost it, which is not the command's fault. Raises InputError."""
     path = Path(text)
     if not any(map(os.path.exists, (path / "plan.json", path / "cases"))):
-        raise InputError(f"{text}: not a run directory (it has no plan.json)")
+        raise InputError(f"{text}: not a run directory, such as results/runs/NAME (it has no plan.json)")
     return path
 
 
