@@ -31,7 +31,7 @@ _FAILURES = {
     "linear-solver": "the tangent system could not be solved, as where a body buckles",
 }
 _REMEDY = "load the body less, or use a finer mesh where it deforms most"
-_SOFTER = "load the body less, hold it more softly there (`elastic`), or round the rim of what holds it"
+_SOFTER = "load the body less, or bear more of its surface on soft springs (`elastic`)"
 _SNAPS = "load the body less, or give a displacement in place of the load"
 _NO_STIFFNESS = 0.2  # of that at rest: steps of a 256th end within the root of that of a limit point
 _TOO_SMALL = Status(
@@ -140,6 +140,11 @@ class Record:
             told += f"; creasing: a free surface creases there below {CREASE / across:.2f}"
             if worst.plane < BIOT:
                 told += f" and is unstable below {BIOT / across:.2f}, so that no smooth solution is stable"
+            if self.system.held[self._mesh.facet_nodes[worst.facet]].any():
+                told += (
+                    "; it is at the rim of what is held, where the strain grows without bound as a mesh is refined:"
+                    " a finer one ends sooner"
+                )
             return Status(attempt.code, told, _SOFTER)
         softest = self.newton.softest(self._converged)
         told += f"; the lowest eigenvalue of the tangent is {softest:.2g} of that at rest"

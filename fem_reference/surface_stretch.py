@@ -29,11 +29,13 @@ class SurfaceStretch:
     ----------
     least, other : principal stretches in the surface, the smaller first
     place : (3,) in the undeformed body [m]
+    facet : that it is on
     """
 
     least: float
     other: float
     place: Array
+    facet: int
 
     @property
     def plane(self) -> float:
@@ -61,7 +63,7 @@ def most_compressed(mesh: TetMesh, displacement: Array) -> SurfaceStretch:
     facet, point = np.unravel_index(plane.argmin(), plane.shape)
     least, other = stretches[facet, point]
     place = triangle_p2(barycentric[[point]])[0] @ rest[nodes[facet]]
-    return SurfaceStretch(float(least), float(other), place)
+    return SurfaceStretch(float(least), float(other), place, int(facet))
 
 
 def _metric(barycentric: Array, corners: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from fem_reference.finite_strain import FiniteStrainProblem
@@ -33,6 +34,17 @@ def test_a_rim_that_creases_is_named_and_ends_the_way_soon() -> None:
     assert "creasing" in status.message
     assert "`elastic`" in status.remedy
     assert solution.scalars["load_factor"][0] == last.load_factor, "the state up to there is kept"
+
+
+@pytest.mark.parametrize(("sides", "at_the_rim"), [((2, 2, 2), False), ((4, 2, 2), True)])
+def test_what_creases_at_the_rim_of_what_is_held_is_said_to_be_there(
+    sides: tuple[int, int, int], at_the_rim: bool
+) -> None:
+    body = mapped_box(sides, lambda x: x)
+    problem = _problem(body, body.surface[:, 2] == 0.0)
+    (status,) = problem.solve([body.load(gravity=(0.0, 0.0, -4.0))]).status
+    assert "creasing" in status.message
+    assert ("at the rim of what is held" in status.message) == at_the_rim
 
 
 def test_a_limit_point_is_named() -> None:
