@@ -71,10 +71,13 @@ def unlike(first: np.ndarray, least: float) -> Callable[[np.ndarray], bool]:
 
 
 def _picture_of_stage(browser: Browser) -> np.ndarray:
+    browser.evaluate(
+        "document.querySelector('.stage').scrollIntoView({behavior: 'instant', block: 'nearest'})"
+    )
     browser.settle()
     box = "(r => ({x: r.x, y: r.y + scrollY, width: r.width, height: r.height}))"
     clip = browser.evaluate(f"{box}(document.querySelector('.stage > canvas').getBoundingClientRect())")
-    return np.asarray(Image.open(io.BytesIO(browser.picture(clip=clip))).convert("RGB")).astype(int)
+    return np.asarray(Image.open(io.BytesIO(browser.picture(clip))).convert("RGB")).astype(int)
 
 
 def changed(before: np.ndarray, after: np.ndarray) -> float:
