@@ -19,7 +19,7 @@ from vdmbench.body.imported import imported_surface
 from vdmbench.body.intersections import intersecting_facets
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache, read_mesh, write_mesh
-from vdmbench.body.read_apart import clean_of
+from vdmbench.body.read_apart import read_clean
 from vdmbench.body.remesh import unit_sphere
 from vdmbench.body.repair import Clean
 from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
@@ -227,7 +227,7 @@ def test_a_file_is_read_once_for_several_mesh_sizes(tmp_path: Path, monkeypatch:
 
     def reading(path: Path, repair: str) -> Clean:
         reads.append(path)
-        return clean_of(path, repair)
+        return read_clean(path, repair)
 
     monkeypatch.setattr("vdmbench.body.imported.clean_of", reading)
     path = surface_file(tmp_path / "body.stl", build_mesh(SPHERE, volume=False))

@@ -97,28 +97,6 @@ def answered(samples: list[Sample], model: str, multiples: list[float], asked: l
     return [dataclasses.replace(s, reference=u) for s, u in zip(samples, answers, strict=True)]
 
 
-@pytest.mark.parametrize(
-    ("model", "asked", "multiples"),
-    [
-        ("bem", ["shear_modulus"], [0.4]),
-        ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5]),
-        ("vdm-vector", ["foundation", "surface_tension", "stretch_stiffness"], [0.5, 1.2, 0.3]),
-        ("vdm-vector:nonlinear", ["surface_tension"], [1.7]),
-    ],
-)
-def test_the_parameters_behind_an_answer_are_found(
-    samples: list[Sample], model: str, asked: list[str], multiples: list[float]
-) -> None:
-    if "foundation" in asked and model.startswith("vdm-vector"):
-        samples = [
-            dataclasses.replace(s, scene=dataclasses.replace(s.scene, parameters={"foundation": 5e4}))
-            for s in samples
-        ]
-    known = answered(samples[:2], model, multiples, asked)
-    found = least_error(Trial(model, known, asked))
-    assert_allclose(found, multiples, rtol=1e-6, atol=0)  # iterative solvers end at 1e-10 of a residual
-
-
 def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: list[Sample]) -> None:
     known = answered(samples, "vdm-vector", [1.3], ["surface_tension"])
     stiff = [

@@ -48,37 +48,38 @@ def loss(trial: Trial, multiples: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize(
-    ("model", "asked", "multiples"),
+    ("model", "asked", "multiples", "movement"),
     [
-        ("vdm-vector", ["surface_tension"], [20.0]),
-        ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5]),
-        ("vdm-vector:nonlinear", ["surface_tension"], [1.7]),
+        ("bem", ["shear_modulus"], [0.4], False),
+        ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5], False),
+        ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5], True),
+        ("vdm-vector", ["foundation", "surface_tension", "stretch_stiffness"], [0.5, 1.2, 0.3], False),
+        ("vdm-vector", ["surface_tension"], [20.0], True),
+        ("vdm-vector:nonlinear", ["surface_tension"], [1.7], True),
     ],
 )
-def test_the_parameters_behind_an_answer_to_a_movement_and_a_force_are_found(
-    four_loads: list[Sample], model: str, asked: list[str], multiples: list[float]
+def test_the_parameters_behind_an_answer_are_found(
+    four_loads: list[Sample], model: str, asked: list[str], multiples: list[float], movement: bool
 ) -> None:
-    known = answered(moved(four_loads[:2]), model, multiples, asked)
-    found = least_error(Trial(model, known, asked))
+    loads = moved(four_loads[:2]) if movement else four_loads[:2]
+    if "foundation" in asked:
+        loads = with_foundation(loads)
+    found = least_error(Trial(model, answered(loads, model, multiples, asked), asked))
     assert_allclose(found, multiples, rtol=1e-5, atol=0)
 
 
-@pytest.mark.parametrize(
-    ("model", "foundation", "movement"),
-    [
-        ("vdm-vector", 5e4, True),
-        ("vdm-vector:nonlinear", 5e4, False),
-    ],
-)
+def with_foundation(samples: Sequence[Sample]) -> list[Sample]:
+    """The loads on a foundation of 5e4 Pa/m that the study sets."""
+    scenes = [dataclasses.replace(s.scene, parameters={"foundation": 5e4}) for s in samples]
+    return [dataclasses.replace(s, scene=scene) for s, scene in zip(samples, scenes, strict=True)]
+
+
+@pytest.mark.parametrize(("model", "movement"), [("vdm-vector", True), ("vdm-vector:nonlinear", False)])
 def test_no_multiple_beside_the_fit_has_a_smaller_error(
-    four_loads: list[Sample], model: str, foundation: float, movement: bool
+    four_loads: list[Sample], model: str, movement: bool
 ) -> None:
     """Whatever the answer is of the modulus: also nonlinear, or beside one that the study sets."""
-    loads = moved(four_loads[:2]) if movement else four_loads[:2]
-    loads = [
-        dataclasses.replace(s, scene=dataclasses.replace(s.scene, parameters={"foundation": foundation}))
-        for s in loads
-    ]
+    loads = with_foundation(moved(four_loads[:2]) if movement else four_loads[:2])
     known = answered(loads, "bem", [1.0], ["shear_modulus"])  # which the vector form cannot match
     trial = Trial(model, known, ["surface_tension"])
     best = least_error(trial)

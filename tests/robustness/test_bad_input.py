@@ -15,7 +15,6 @@ from typing import Any
 import pytest
 
 from tests.command import vdmbench, write_study
-from tests.store.test_store import _reseal
 from vdmbench import machine
 from vdmbench.store import run_directory
 from vdmbench.study.errors import install_line
@@ -31,10 +30,6 @@ def _case(directory: Path) -> Path:
     return sorted((directory / RUN / "cases").iterdir())[0]
 
 
-def _of_a_newer_program(about: dict[str, Any]) -> None:
-    about["schema"] = 99
-
-
 def _failure_cut(directory: Path) -> None:
     path = run_directory.failure_path(directory / RUN, planned_hash(_case(directory)))
     _case(directory).unlink()
@@ -44,14 +39,7 @@ def _failure_cut(directory: Path) -> None:
 
 # what spoils a directory with a run: how, what to call, the exit code, a part of what is said
 DAMAGE: dict[str, tuple[Callable[[Path], object], str, int, str]] = {
-    "newer schema": (
-        lambda d: _reseal(_case(d), _of_a_newer_program), f"report {RUN}", 5,
-        "schema 99 is newer than this program's",
-    ),
     "no plan": (lambda d: (d / RUN / "plan.json").unlink(), f"report {RUN}", 5, "not a run directory"),
-    "damaged plan": (
-        lambda d: (d / RUN / "plan.json").write_text('{"study": {'), f"report {RUN}", 5, "plan.json: damaged",
-    ),
     "no study text": (
         lambda d: (d / RUN / "study.toml").unlink(), f"report {RUN}", 5, "study.toml: not readable",
     ),
