@@ -69,17 +69,6 @@ def test_resultant_and_moment_on_every_level(refinements: int, order: int, verif
     verified.at_most(f"{title}: linear traction", np.subtract(found, (total, twist)), 1e-12)
 
 
-def test_a_normal_traction_is_a_pressure() -> None:
-    b = ball(1)
-    problem = b.problem(b.surface[:, 2] < -0.5)
-    top = b.facets_where(lambda x: x[:, 2] > 0.3)
-    normal = b.area_vectors / np.linalg.norm(b.area_vectors, axis=1)[:, None]
-    forces = traction_forces(problem.mesh, (-0.2 * top[:, None] * normal)[:, None])
-    ours, theirs = (problem.solve([load]) for load in (b.load(0.2 * top), _with(b, forces)))
-    assert_allclose(ours.displacement, theirs.displacement, rtol=0, atol=1e-12)
-    assert_allclose(ours.energy, theirs.energy, rtol=1e-11, atol=0)
-
-
 def _with(b: Body, forces: Array | None, **others: object):
     load = b.load(**others)
     return type(load)(load.facet_pressure, load.prescribed, load.gravity, forces)

@@ -47,14 +47,6 @@ def test_more_loads_than_a_batch() -> None:
     assert_allclose(solved.x, _exact(system, rhs), rtol=0, atol=1e-10 * np.abs(solved.x).max())
 
 
-def test_a_zero_load_moves_nothing() -> None:
-    system = _system(2)
-    for path in (DirectSolver, IterativeSolver):
-        solved = path(system, None, "").solve(np.zeros((system.size, 2)))
-        assert_array_equal(solved.x, 0.0)
-        assert_array_equal(solved.residual, 0.0)
-
-
 def test_single_precision_gives_way_to_double_where_it_is_too_coarse() -> None:
     gentle = DirectSolver(_system(3, 0.3), None, "")
     gentle.solve(np.ones((gentle._system.size, 1)))

@@ -58,18 +58,6 @@ def ball() -> Mesh:
     return Mesh(points, np.zeros((0, 4), dtype=np.int64), np.arange(len(points)), triangles)
 
 
-def test_a_table_is_read_in_its_units(tmp_path: Path) -> None:
-    (table,) = load(tmp_path, GOOD).measured or ()
-    top, side = table.points
-    assert (table.name, table.source, table.path) == ("tips", "a ruler", None)
-    assert (top.name, top.line, top.x, top.z, top.load_factor) == ("top", 3, 0.0, 1.0, 1.0)
-    assert top.components() == {2: -0.002}
-    assert side.components() == {0: 0.001, 2: 0.0005}
-    assert (top.uncertainty, side.uncertainty) == (1e-4, 2e-4)
-    assert top.others["COMSOL"].components() == {2: -0.0021}
-    assert side.others == {}
-
-
 def test_check_ends_with_2_for_a_point_off_the_body(tmp_path: Path) -> None:
     load(tmp_path, GOOD.replace("top, 0, 0, 1,", "top, 0, 0, 1.2,"))
     result = vdmbench("check", "tips.toml", cwd=tmp_path)

@@ -43,14 +43,6 @@ def sunk(depths: list[float]) -> np.ndarray:
     return np.array(depths)[:, None, None] * shape
 
 
-def test_a_curve_is_read_in_its_units(tmp_path: Path) -> None:
-    (table,) = load(tmp_path, CURVE, PRESSED).measured or ()
-    assert [(one.depth, one.force, one.uncertainty, one.line) for one in table.forces] == [
-        (0.05, 3.0, 0.1, 2),
-        (0.1, 9.0, 0.2, 3),
-    ]
-
-
 def test_forces_of_a_contact_by_hand(tmp_path: Path) -> None:
     """Forces of 2, 4 and 8 N; a linear answer goes on beyond its 40 mm, one that stiffens is read between steps."""
     study = load(tmp_path, CURVE, PRESSED)

@@ -11,9 +11,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import make_case, make_run, sweep_run
-from vdmbench.measures.frame import frame, reference_bar, value_bar
+from vdmbench.measures.frame import frame, value_bar
 from vdmbench.store.cases import metrics_csv
-from vdmbench.verdict.digest import DEFORMATION, VECTOR, Digest, spread_of
+from vdmbench.verdict.digest import VECTOR, Digest, spread_of
 
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
 
@@ -30,19 +30,6 @@ def test_spread_takes_medians_the_largest_size_and_its_own_bar() -> None:
     assert_allclose(spread.median_bar, 0.015, rtol=RTOL, atol=ATOL)
     assert (spread.cases, spread.measured, spread.resolved) == (3, 2, 1)
     assert spread_of(np.array([math.nan]), np.array([0.1])) is None
-
-
-def test_the_error_bar_is_the_convergence_index_of_the_metric() -> None:
-    measured = {
-        "relative_l2": 0.01,
-        "gci:relative_l2_displacement_error": 0.0125,
-        "gci:relative_l2_deformation_error": 0.025,
-    }
-    case = make_case({"m": 0.1}, reference_error=measured, subdivisions=0)
-    assert reference_bar(case) == 0.0125
-    assert reference_bar(case, DEFORMATION) == 0.025
-    assert math.isnan(reference_bar(case, "volume_drift"))
-    assert math.isnan(reference_bar(make_case({"m": 0.1}, subdivisions=0)))
 
 
 def test_metrics_csv_has_every_value_with_its_full_load_bar() -> None:

@@ -57,8 +57,14 @@ def surface_of(scene: Scene) -> Surface:
     return Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact, scene.contact_force)
 
 
-def test_three_levels(scene: Scene) -> None:
-    coarse, middle, fine = levels_of(STUDY, scene, "fem-linear", 3)
+@pytest.fixture(scope="module")
+def levels(scene: Scene) -> list[ModelResult]:
+    """Three of the reference, the coarsest first."""
+    return levels_of(STUDY, scene, "fem-linear", 3)
+
+
+def test_three_levels(scene: Scene, levels: list[ModelResult]) -> None:
+    coarse, middle, fine = levels
     surface = surface_of(scene)
     two = own_error(surface, [middle, coarse], scene.load_factors)
     three = own_error(surface, [fine, middle, coarse], scene.load_factors)
@@ -86,11 +92,11 @@ def test_three_levels(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
-def test_own_error_of_a_known_sequence(scene: Scene, order: float) -> None:
+def test_own_error_of_a_known_sequence(scene: Scene, levels: list[ModelResult], order: float) -> None:
     """Levels u + h^p e with the largest load in the middle of the history: the bar is 1.25 h^p |e| / |u|."""
     surface = surface_of(scene)
     rng = np.random.default_rng(0)
-    coarse = models.run_model(scene, "fem-linear")
+    coarse = levels[0]
     exact, e = coarse.displacement[-1], 1e-3 * rng.standard_normal(coarse.displacement[-1].shape)
     factors = np.array([0.5, -1.0, 0.25])
 
@@ -116,9 +122,9 @@ def test_own_error_of_a_known_sequence(scene: Scene, order: float) -> None:
     assert behaviour == ("oscillating" if order % 2 else "converging")
 
 
-def test_the_references_own_figures_are_judged_by_all_levels(scene: Scene) -> None:
+def test_the_references_own_figures_are_judged_by_all_levels(scene: Scene, levels: list[ModelResult]) -> None:
     """By hand: a strain of 1 + 3 h, which is of order 1, and a volume that the levels do not settle."""
-    surface, coarse = surface_of(scene), models.run_model(scene, "fem-linear")
+    surface, coarse = surface_of(scene), levels[0]
     stretch = np.zeros_like(coarse.displacement[:1])
     stretch[0, :, 0] = scene.mesh.surface_points[:, 0]
 
@@ -128,18 +134,20 @@ def test_the_references_own_figures_are_judged_by_all_levels(scene: Scene) -> No
         force = coarse.reaction_force[:1]
         return dataclasses.replace(coarse, displacement=strained, reaction_force=force, volume=volume)
 
-    levels = [level(0.1, 0.04), level(0.2, 0.02), level(0.4, 0.01)]
-    error = own_error(surface, levels, np.ones(1))
+    made = [level(0.1, 0.04), level(0.2, 0.02), level(0.4, 0.01)]
+    error = own_error(surface, made, np.ones(1))
     assert_allclose(error["own_gci:mean_strain_x"], 1.25 * 0.3, rtol=1e-9, atol=0)
     assert_allclose(error["own_gci:volume_drift"], 3.0 * 0.03, rtol=1e-9, atol=0)
-    assert not any(name.startswith("own_gci:") for name in own_error(surface, levels[:2], np.ones(1)))
+    assert not any(name.startswith("own_gci:") for name in own_error(surface, made[:2], np.ones(1)))
     assert np.isnan(reference_bar(error, "volume_drift")), "it is no bar of another model's drift"
 
 
-def test_the_indentation_force_under_a_weight_has_a_bar_where_a_step_has_no_load(scene: Scene) -> None:
+def test_the_indentation_force_under_a_weight_has_a_bar_where_a_step_has_no_load(
+    scene: Scene, levels: list[ModelResult]
+) -> None:
     """By hand: it sags by s without load, which a step without load tells, and is level h softer by 1 + h^2."""
     surface = surface_of(scene).under(scene.contact, scene.contact_force, weighs=True)
-    coarse = models.run_model(scene, "fem-linear")
+    coarse = levels[0]
     push = coarse.displacement[-1:]
 
     def level(h: float, factors: np.ndarray) -> ModelResult:
@@ -157,8 +165,8 @@ def test_the_indentation_force_under_a_weight_has_a_bar_where_a_step_has_no_load
         assert_allclose(reference_bar(error, "indentation_force_error"), expected, rtol=1e-9, atol=0)
 
 
-def test_a_restricted_level_keeps_its_forces_and_steps(scene: Scene) -> None:
-    coarse, finest = levels_of(STUDY, scene, "fem-linear", 2)
+def test_a_restricted_level_keeps_its_forces_and_steps(scene: Scene, levels: list[ModelResult]) -> None:
+    coarse, finest, _ = levels
     assert finest.displacement.shape == coarse.displacement.shape == (2, len(scene.fixed), 3)
     assert_allclose(finest.displacement[:, scene.fixed], 0.0, rtol=0, atol=0)
     assert_allclose(finest.displacement[0], 0.5 * finest.displacement[1], rtol=1e-6, atol=1e-12)
