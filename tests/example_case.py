@@ -97,16 +97,14 @@ def example_measurement() -> Measurement:
 
 
 def example_inputs() -> InputSpread:
-    """Two inputs, sampled."""
+    """Two inputs."""
     return InputSpread(
-        "sampling",
-        256,
         ["tissue.poisson_ratio", "tissue.youngs_modulus"],
         ["1", "Pa"],
         np.array([0.45, 5e3]),
         np.array([0.01, 300.0]),
         {
-            "vdm-paper": ModelSpread(0.07, 0.08, np.full(2, np.nan), np.nan),
+            "vdm-paper": ModelSpread(0.07, 0.08, np.array([0.03, 0.06]), 0.3),
             "fem:direct": ModelSpread(0.06, np.nan, np.array([0.01, 0.06]), 0.02),
         },
     )

@@ -30,7 +30,7 @@ from ..study.checks import pushing
 from ..study.measured import AXES, Measured, same_load
 from ..study.registry import REFINED
 from ..study.schema import Study
-from ..study.sweep import SENSITIVITIES, Input, inputs_of
+from ..study.sweep import Input, inputs_of
 from .metrics import full_load_step
 from .pushed import Answer, Pushed
 from .uncertainty import estimate_limit
@@ -47,9 +47,8 @@ class ModelSpread:
     ----------
     displacement : area-weighted norm of the standard deviation of the displacement, over the norm of it
     deformation : the same without the best-fit rigid motion
-    parts : (K,) share of `displacement` by each input alone; NaN where only samples tell
-    bend : most by which an answer is off the line between those at an input's ends, over `displacement`; NaN
-        likewise
+    parts : (K,) share of `displacement` by each input alone
+    bend : most by which an answer is off the line between those at an input's ends, over `displacement`
     """
 
     displacement: float
@@ -62,8 +61,6 @@ class ModelSpread:
 class InputSpread:
     """The K inputs of a case, how well each is known, and what comes of it: model -> spread."""
 
-    method: str
-    variations: int
     keys: Sequence[str]
     units: Sequence[str]
     values: Array  # (K,) of the study, SI
@@ -71,29 +68,10 @@ class InputSpread:
     models: Mapping[str, ModelSpread]
 
 
-class Propagation:
-    """The rule that makes standard deviations of the answers to a study's variations."""
-
-    def __init__(self, study: Study) -> None:
-        assert study.inputs is not None
-        self.inputs: Sequence[Input] = inputs_of(study)
-        self.table = study.inputs
-
-    @property
-    def by_slopes(self) -> bool:
-        """Whether it has the answers at both ends of each input, not at samples."""
-        return self.table.method == SENSITIVITIES
-
-    def deviation(self, answers: Sequence[Array]) -> Array:
-        """Standard deviation of each number of the V answers, arrays of one shape."""
-        if self.by_slopes:
-            return np.asarray(np.sqrt((self.parts(answers) ** 2).sum(axis=0)))
-        return np.asarray(np.std(np.stack(answers), axis=0, ddof=1))
-
-    def parts(self, answers: Sequence[Array]) -> Array:
-        """(K, ...) standard deviation of each number through one input alone, with its sign."""
-        pairs = zip(self.inputs, answers[0::2], answers[1::2], strict=False)
-        return np.stack([one.weight * (high - low) / 2.0 for one, low, high in pairs])
+def _parts(inputs: Sequence[Input], answers: Sequence[Array]) -> Array:
+    """(K, ...) signed standard deviation of each number through one input alone, by the answers at its ends."""
+    pairs = zip(inputs, answers[0::2], answers[1::2], strict=True)
+    return np.stack([one.weight * (high - low) / 2.0 for one, low, high in pairs])
 
 
 Answers = Callable[[str], Sequence[Array]]  # model -> its V answers at full load (N, 3)
@@ -106,27 +84,22 @@ def input_spread(study: Study, surface: Surface, own: Mapping[str, Array], answe
     ----------
     own : model -> (N, 3) its answer to the study itself at full load [m]
     """
-    rule, count = Propagation(study), 0
-    found = {}
+    inputs, found = inputs_of(study), {}
     for name, displacement in own.items():
-        fields = answers(name)
-        count = len(fields)
         # variations are of the case's own mesh, also where the model's own answer is of a finer one
         unvaried = own[name.removesuffix(REFINED)]
-        found[name] = _model_spread(rule, surface, displacement, fields, unvaried)
+        found[name] = _model_spread(inputs, surface, displacement, answers(name), unvaried)
     return InputSpread(
-        rule.table.method,
-        count,
-        [one.key for one in rule.inputs],
-        [one.unit for one in rule.inputs],
-        np.array([one.value for one in rule.inputs]),
-        np.array([one.deviation for one in rule.inputs]),
+        [one.key for one in inputs],
+        [one.unit for one in inputs],
+        np.array([one.value for one in inputs]),
+        np.array([one.deviation for one in inputs]),
         found,
     )
 
 
 def _model_spread(
-    rule: Propagation, surface: Surface, own: Array, fields: Sequence[Array], unvaried: Array
+    inputs: Sequence[Input], surface: Surface, own: Array, fields: Sequence[Array], unvaried: Array
 ) -> ModelSpread:
     areas = surface.areas
 
@@ -137,24 +110,18 @@ def _model_spread(
         norm = weighted_norm(whole, areas)
         return weighted_norm(values, areas) / norm if norm else float("nan")
 
-    parts, bend = np.full(len(rule.inputs), np.nan), float("nan")
-    if rule.by_slopes:
-        slopes = rule.parts(fields)
-        parts = np.array([share(slope, own) for slope in slopes])
-        shapes = np.array([share(shape(slope), shape(own)) for slope in slopes])
-        total, deformation = (float(np.sqrt((values**2).sum())) for values in (parts, shapes))
-        bends = [
-            share(low + (high - low) * one.place - unvaried, own)
-            for one, low, high in zip(rule.inputs, fields[0::2], fields[1::2], strict=False)
-        ]
-        bend = float(np.max(bends)) / total if total > _NOTHING else 0.0
-    else:
-        total = share(rule.deviation(fields), own)
-        deformation = share(rule.deviation([shape(values) for values in fields]), shape(own))
+    slopes = _parts(inputs, fields)
+    parts = np.array([share(slope, own) for slope in slopes])
+    shapes = np.array([share(shape(slope), shape(own)) for slope in slopes])
+    total, deformation = (float(np.sqrt((values**2).sum())) for values in (parts, shapes))
+    bends = [
+        share(low + (high - low) * one.place - unvaried, own)
+        for one, low, high in zip(inputs, fields[0::2], fields[1::2], strict=True)
+    ]
+    bend = float(np.max(bends)) / total if total > _NOTHING else 0.0
     return ModelSpread(total, deformation, parts, bend)
 
 
-Spread = tuple[Propagation, Callable[[], Sequence[Answer]]]
 RMS, MOST = "rms distance", "largest distance"  # of a measured surface's points to the deformed body
 FORCE = "force"
 
@@ -233,7 +200,7 @@ def hold_against(
     mesh: Mesh,
     results: Mapping[str, Answer],
     levels: Sequence[tuple[str, Answer]] = (),
-    spread: Mapping[str, Spread] | None = None,
+    varied: Mapping[str, Callable[[], Sequence[Answer]]] | None = None,
 ) -> Measurement | None:
     """The results of a case against what was measured on it; None where nothing was.
 
@@ -241,7 +208,7 @@ def hold_against(
     ----------
     results : model -> its answers to the load steps at the surface nodes of `mesh`
     levels : the reference on its mesh levels at the same nodes, coarse first; the name of each in `results`, or ""
-    spread : model -> its answers to other values of the inputs, and the rule that makes u_input of them
+    varied : model -> its answers at both ends of each input, of which u_input is made
 
     Raises
     ------
@@ -277,8 +244,8 @@ def hold_against(
         {table.name: table.source for table, _ in tables},
         tuple(others),
         {
-            name: rule.deviation([simulate(answer) for answer in answers()])
-            for name, (rule, answers) in (spread or {}).items()
+            name: np.sqrt((_parts(inputs_of(study), list(map(simulate, answers()))) ** 2).sum(axis=0))
+            for name, answers in (varied or {}).items()
         },
     )
 

@@ -134,8 +134,10 @@ def _items(node: Node) -> Node | None:
 
 def _kinds(table: Node) -> dict[str, Node]:
     """Of a table of several kinds the word of each, and its own table."""
-    by = next(iter(table["properties"]))
-    return {rule["if"]["properties"][by]["const"]: _followed(rule["then"]) for rule in table.get("allOf", [])}
+    rules = table.get("allOf", [])
+    return {
+        word["const"]: _followed(rule["then"]) for rule in rules for word in rule["if"]["properties"].values()
+    }
 
 
 # --- what a sweep can vary ---

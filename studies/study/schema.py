@@ -426,21 +426,9 @@ class Sweep(Table):
 
 
 class Inputs(Table):
-    """[inputs]: how well numbers are known; further keys are dotted paths of keys of the study"""
+    """[inputs]: how well numbers are known; its keys are dotted paths of keys of the study"""
 
     model_config = ConfigDict(extra="allow")
-
-    method: Literal["sensitivities", "sampling"] = Field(
-        "sensitivities",
-        description="how that goes into the answers: two variations of each key, or random samples of all",
-    )
-    samples: int | None = Field(
-        None,
-        description="sampling: variations of a case (64)",
-        ge=4,
-        le=10_000,
-    )
-    seed: int | None = Field(None, description="of the samples, 0 where left out", ge=0, lt=2**32)
 
 
 class Limits(Table):

@@ -84,7 +84,7 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
         return [], []
-    known = targets(data) if sweep.keys() - _OWN["sweep"] else {}  # slow, and every case of a sweep is asked
+    known = targets(data) if sweep.keys() - _OWN else {}  # slow, and every case of a sweep is asked
 
     def axis(key: str, loc: Loc, value: Any) -> Axis:
         if key not in known:
@@ -92,13 +92,13 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
             raise EntryError(f"{told} (an axis is the path of a key of the study)")
         return _axis(key, loc, known[key], value, sampled=sweep.get("mode") == _HYPERCUBE)
 
-    axes, findings = _entries("sweep", sweep, axis, known, Range)
+    entries = {key: value for key, value in sweep.items() if key not in _OWN}
+    axes, findings = _entries("sweep", entries, axis, known, Range)
     findings += _check_mode(sweep, list(axes.values()), complete=not findings)
     return list(axes.values()), findings
 
 
-# keys of these tables that are no entries
-_OWN = {"sweep": frozenset(("mode", "samples", "seed")), "inputs": frozenset(("method", "samples", "seed"))}
+_OWN = frozenset(("mode", "samples", "seed"))  # keys of [sweep] that are no axes
 
 
 def _entries(
@@ -107,8 +107,7 @@ def _entries(
     """What is read of each entry of [sweep] or [inputs], and what is wrong with the others."""
     found: dict[str, T] = {}
     findings: list[Finding] = []
-    entries = {key: value for key, value in table.items() if key not in _OWN[name]}
-    for key, loc, value in flattened(entries, known, kind, (name,)):
+    for key, loc, value in flattened(table, known, kind, (name,)):
         try:
             if key in found:
                 raise EntryError("is given twice")
@@ -346,7 +345,6 @@ def check_cases(
 # --- [inputs]: how well the numbers of a study are known, each as a standard deviation or a range ---
 
 
-_TAIL = 1e-6  # share of all values that no sample reaches
 _FORMS = 'write { sd = "..." }, a standard deviation, or { range = ["...", "..."] }'
 
 
@@ -389,14 +387,6 @@ class Input:
         """What half the difference of these answers is multiplied by, to be a standard deviation."""
         return 1.0 if self.span is None else 1.0 / math.sqrt(3.0)
 
-    def at(self, share: float) -> float:
-        """The value that a share of all is below."""
-        if self.span is not None:
-            return self.span[0] + (self.span[1] - self.span[0]) * share
-        from scipy.special import ndtri  # only where a study samples
-
-        return self.value + self.deviation * float(ndtri(min(max(share, _TAIL), 1 - _TAIL)))
-
 
 def inputs_of(study: Study) -> list[Input]:
     """What is not known of a sound study, in the order of its keys."""
@@ -422,10 +412,10 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
 
 def as_written(data: Mapping[str, Any]) -> dict[str, Any]:
     """The table [inputs] as a file could hold it, in SI."""
-    own = {key: value for key, value in data["inputs"].items() if key in _OWN["inputs"]}
-    for one in read_inputs(data)[0]:
-        own[one.key] = {"sd": one.sd} if one.span is None else {"range": list(one.span)}
-    return own
+    return {
+        one.key: {"sd": one.sd} if one.span is None else {"range": list(one.span)}
+        for one in read_inputs(data)[0]
+    }
 
 
 def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Target]) -> Input:
@@ -461,54 +451,33 @@ def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Ta
 # --- The studies with other values of the inputs that tell what comes of not knowing them ---
 
 
-SENSITIVITIES = "sensitivities"
-_SAMPLES = 64
-_MOST = 2000  # variations of a case
 # what no variation has: it decides nothing of an answer, or would begin anew
 _NOT_VARIED = ("inputs", "sweep", "measured", "limits", "calibration")
 
 
 @dataclass(frozen=True)
 class Variation:
-    """A study in which some inputs have other values: key -> value, SI."""
+    """A study in which one input has another value: key -> value, SI."""
 
     values: Mapping[str, float]
     study: Study
 
 
 def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
-    """The studies that tell what comes of not knowing the inputs, or the first thing that is wrong with them."""
+    """The studies with each input at both its ends in turn, or the first thing that is wrong with them."""
     if study.inputs is None:
         return [], []
     data = study.model_dump()
     inputs, findings = read_inputs(data)
     if findings:
         return [], findings
-    by_ends = study.inputs.method == SENSITIVITIES
-    count = 2 * len(inputs) if by_ends else study.inputs.samples or _SAMPLES
-    if count > _MOST:
-        text = f"makes {count:,} variations of each case, more than the {_MOST:,} allowed; take fewer samples"
-        return [], [(("inputs",), text)]
-    locs = {one.key: one.loc for one in inputs}
     rest = {key: value for key, value in data.items() if key not in _NOT_VARIED}
-    if by_ends:  # per key the lower and the upper, else the samples
-        values = [{one.key: end} for one in inputs for end in one.ends]
-    else:
-        from scipy.stats import qmc
-
-        shares = qmc.LatinHypercube(len(inputs), rng=study.inputs.seed or 0).random(count)
-        values = [{one.key: one.at(float(s)) for one, s in zip(inputs, row, strict=True)} for row in shares]
     found: list[Variation] = []
-    for changed in values:
-        varied = rest
-        for key, value in changed.items():
-            varied = substituted(varied, locs[key], value)
-        other, faults = validate(varied, study._source)
+    for one, value in [(known, end) for known in inputs for end in known.ends]:
+        other, faults = validate(substituted(rest, one.loc, value), study._source)
         if other is None:  # told at the input that makes the fault
-            loc, text = faults[0]
-            key = next((key for key in changed if locs[key] == loc), next(iter(changed)))
             entries = flattened(data["inputs"], targets(data), Known, ("inputs",))
-            place = {name: place for name, place, _ in entries}.get(key, ("inputs",))
-            return [], [(place, f"at {changed[key]:g}: {text}; give a range that ends before")]
-        found.append(Variation(changed, other))
+            place = {name: place for name, place, _ in entries}.get(one.key, ("inputs",))
+            return [], [(place, f"at {value:g}: {faults[0][1]}; give a range that ends before")]
+        found.append(Variation({one.key: value}, other))
     return found, []

@@ -16,7 +16,7 @@ from ..body.mesh import Mesh
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface
 from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
-from ..measures.measurement import InputSpread, Measurement, Propagation, hold_against, input_spread, step_rms
+from ..measures.measurement import InputSpread, Measurement, hold_against, input_spread, step_rms
 from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
 from ..measures.pushed import Answer
 from ..measures.reference import own_error, require_answer
@@ -84,15 +84,15 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
     of_levels = [
         (names.get(id(one), ""), Answer.of(steps_of(one, asked), linear=coarse in linear)) for one in levels
     ]
-    varied, spread, rules = partial(_varied, case, stored), None, {}
+    varied, spread, varied_of = partial(_varied, case, stored), None, {}
     if study.inputs is not None:
         step = full_load_step(scene.load_factors)
         own = {name: one.displacement[step] for name, one in answers.items()}
         spread = input_spread(
             study, surface, own, lambda name: [one.displacement[step] for one in varied(name)]
         )
-        rules = {name: (Propagation(study), partial(varied, name)) for name in results}
-    measurement = hold_against(study, mesh, answers, of_levels, rules)
+        varied_of = {name: partial(varied, name) for name in results}
+    measurement = hold_against(study, mesh, answers, of_levels, varied_of)
     if measurement is not None:
         of_asked = [replace(one, step=int(asked[one.step])) for one in measurement.quantities]
         measurement = replace(measurement, quantities=of_asked)

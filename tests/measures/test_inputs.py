@@ -17,10 +17,10 @@ from tests.report.runs import make_case, make_run
 from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, planned_work, run, scene_of
 from vdmbench import models
 from vdmbench.body.surface_measures import Surface, weighted_norm
-from vdmbench.measures.measurement import InputSpread, ModelSpread, Propagation, hold_against
+from vdmbench.measures.measurement import InputSpread, ModelSpread, hold_against
 from vdmbench.measures.pushed import Answer
 from vdmbench.study.config import Study, load_study, resolved
-from vdmbench.study.sweep import inputs_of, variations
+from vdmbench.study.sweep import inputs_of
 from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import verdicts
 from vdmbench.verdict.words import said
@@ -52,7 +52,6 @@ def test_deviations_are_read_in_their_units_and_kept_in_si() -> None:
     assert of_modulus.ends == (4700.0, 5300.0)
     assert_allclose(of_ratio.deviation, 0.0499 / np.sqrt(12), rtol=1e-12)
     assert resolved(study)["inputs"] == {
-        "method": "sensitivities",
         NU: {"range": [0.45, 0.4999]},
         E: {"sd": 300.0},
     }
@@ -115,21 +114,6 @@ def test_the_refined_reference_has_the_spread_of_its_own_mesh(tmp_path: Path, ca
     assert_allclose(bends[1], bends[0], rtol=1e-9)
 
 
-def test_samples_spread_as_their_inputs_do(tmp_path: Path, cache: Path) -> None:
-    """A linear answer goes with its force: the spread is that of the 64 forces, free of charge."""
-    planned = plan(tmp_path, cache, {"method": "sampling", "seed": 3, FORCE: {"sd": 0.002}})
-    assert planned_work(planned) == {"set-ups": 2, "solves": 2}
-    (case,) = run(planned)
-    assert case.inputs is not None
-    assert case.inputs.variations == 64
-    forces = [v.values[FORCE] for v in variations(planned.cases[0].study)[0]]
-    assert_allclose(np.mean(forces), 0.1, rtol=1e-3)
-    for spread in case.inputs.models.values():
-        assert_allclose(spread.displacement, np.std(forces, ddof=1) / 0.1, rtol=1e-6)
-        assert_allclose(spread.displacement, 0.02, rtol=0.05)
-        assert np.isnan(spread.parts).all()
-
-
 # --- what is made of it ---
 
 
@@ -138,9 +122,9 @@ def test_u_input_joins_the_validation_uncertainty(tmp_path: Path) -> None:
     study = load(tmp_path, GOOD, STUDY + '[inputs]\n"tissue.youngs_modulus" = { sd = 250 }\n')
     field = np.zeros((2, 162, 3))
     field[:, :, 2] = -2.05e-3
-    rule, fields = Propagation(study), [Answer(field * 1.05), Answer(field * 0.95)]
+    fields = [Answer(field * 1.05), Answer(field * 0.95)]
     found = hold_against(
-        study, ball(), {"a": Answer(field), "b": Answer(field)}, spread={"a": (rule, lambda: fields)}
+        study, ball(), {"a": Answer(field), "b": Answer(field)}, varied={"a": lambda: fields}
     )
     assert found is not None
     u_input = 0.05 * 2.05e-3
@@ -153,8 +137,6 @@ def known(displacement: float, bend: float = 0.0) -> InputSpread:
     parts = displacement * np.array([0.99, 0.05])
     spread = ModelSpread(displacement, displacement, parts, bend)
     return InputSpread(
-        "sensitivities",
-        4,
         [E, NU],
         ["Pa", "1"],
         np.array([5e3, 0.45]),

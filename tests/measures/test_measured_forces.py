@@ -11,8 +11,9 @@ from numpy.testing import assert_allclose
 
 from tests.work.shared_work import ONE_LOAD, cache, meshes, plan_of, run
 from vdmbench.body.surface_measures import Surface
-from vdmbench.measures.measurement import FORCE, Propagation, hold_against
+from vdmbench.measures.measurement import FORCE, hold_against
 from vdmbench.measures.pushed import Answer
+from vdmbench.study.sweep import inputs_of
 
 from .test_measured import STUDY, ball, load
 
@@ -100,16 +101,14 @@ def test_forces_of_an_indenter_are_its_own(tmp_path: Path) -> None:
 def test_u_input_of_a_stiffness(tmp_path: Path, key: str, change: float, u_input: float) -> None:
     """The force at a depth goes with the modulus; a larger force sinks in by more, at the same stiffness."""
     study = load(tmp_path, CURVE, PRESSED + f'[inputs]\n"{key}" = {{ sd = {change} }}\n')
-    rule, depths = Propagation(study), np.array([0.01, 0.02, 0.04])
+    (known,), depths = inputs_of(study), np.array([0.01, 0.02, 0.04])
     modulus = key.startswith("tissue")
     answers = [
         Answer(sunk((depths * factor).tolist()), linear=True, values={key: value})
-        for value, factor in zip(
-            rule.inputs[0].ends, (1 / 0.95, 1 / 1.05) if modulus else (0.95, 1.05), strict=True
-        )
+        for value, factor in zip(known.ends, (1 / 0.95, 1 / 1.05) if modulus else (0.95, 1.05), strict=True)
     ]
     own = {"m": Answer(sunk(depths.tolist()), linear=True)}
-    found = hold_against(study, ball(), own, spread={"m": (rule, lambda: answers)})
+    found = hold_against(study, ball(), own, varied={"m": lambda: answers})
     assert found is not None
     assert_allclose(found.inputs["m"], u_input * found.simulated["m"], rtol=1e-9, atol=1e-12)
     assert_allclose(found.uncertainty("m"), np.hypot([0.1, 0.2], found.inputs["m"]), rtol=1e-9)

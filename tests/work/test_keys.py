@@ -235,7 +235,7 @@ WHOLE: dict[str, Any] = STUDY | {
         {"name": "a", "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.01}, "youngs_modulus": 5e4},
         {"name": "b", "box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}, "youngs_modulus": 5e4},
     ],
-    "inputs": {"method": "sampling", "samples": 8, "tissue.youngs_modulus": {"sd": 100.0}},
+    "inputs": {"tissue.youngs_modulus": {"sd": 100.0}},
     "limits": {"along": "load"},
     "measured": [
         {"name": "points", "points": [{"x": 0.0, "y": 0.0, "z": 0.05, "displacement_z": 0.001}]},
