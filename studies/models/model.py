@@ -140,8 +140,11 @@ class Prepared:
         except (Exception, SystemExit) as error:  # noqa: BLE001  a model of another package
             self._refusal = _refusal(error, name)
 
-    def answer(self, loads: Sequence[SurfaceLoad]) -> ModelResult:
-        """The result of some load steps: one load path, or independent of each other where the model superposes."""
+    def answer(self, loads: Sequence[SurfaceLoad], *, ends: bool = False) -> ModelResult:
+        """The result of some load steps: one load path, or independent of each other where the model superposes.
+
+        A step that failed holds NaN; with `ends` the last state on the way to it, of a model that keeps that.
+        """
         if self.set_up is None:
             return _failed(self._scene, self.model, self._refusal, len(loads))
         try:
@@ -149,7 +152,7 @@ class Prepared:
             _check(solution, self.model.name, len(loads), len(self._scene.fixed))
         except (Exception, SystemExit) as error:  # noqa: BLE001
             return _failed(self._scene, self.model, _refusal(error, self.model.name), len(loads))
-        return _result(self._scene, solution, peak_bytes_since(self._resident), self.model)
+        return _result(self._scene, solution, peak_bytes_since(self._resident), self.model, ends=ends)
 
 
 def run_model(scene: Scene, name: str) -> ModelResult:
@@ -216,9 +219,11 @@ def _believed(solution: Solution, name: str) -> tuple[Status, ...]:
     )
 
 
-def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model) -> ModelResult:
+def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model, *, ends: bool) -> ModelResult:
     states = _believed(solution, model.name)
     usable = np.array([status.ok for status in states])
+    if ends:
+        usable |= np.nan_to_num(solution.scalars.get("load_factor", np.zeros(len(usable)))) > 0.0
     displacement = np.where(usable[:, None, None], solution.displacement, np.nan)
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
     return ModelResult(

@@ -32,7 +32,7 @@ from .cache import combined, limits_path, read_limits, steps_of, stored_answer, 
 from .keys import Wanted
 from .plan import PlannedCase
 from .provenance import provenance
-from .reached import at_what_was_reached
+from .reached import answered, at_what_was_reached
 from .small_strain import small_strain_limits
 
 Payload = Mapping[str, Any]
@@ -149,7 +149,7 @@ def _varied(case: PlannedCase, stored: Stored, name: str) -> list[Answer]:
 
 
 def _varied_answer(case: PlannedCase, want: Wanted, stored: Stored) -> Answer:
-    found = {key: stored(key) for key in dict.fromkeys(want.answers)}
+    found = {key: answered(stored(key)) for key in dict.fromkeys(want.answers)}
     if not want.scales:
         return Answer.of(found[want.answers[0]], values=case.values)
     steps = [(scale, found[key]) for key, scale in zip(want.answers, want.scales, strict=True)]

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from solver_common.arrays import Array, Mask
-from solver_common.solution import Status
+from solver_common.arrays import Array
+from solver_common.solution import CONVERGED, Status
 
 from ..body.refine import Hierarchy
 from ..measures.reference import level_scene, restricted
@@ -23,7 +23,8 @@ from ..study.schema import Study
 from .cache import STEPS, steps_of
 from .keys import Wanted
 
-_PARTS = 20  # of a load step: down to a whole one of them, which a way from rest reaches as well
+# Of a load step: down to a whole one of them where the state is not kept; a way from rest reaches it as well.
+_PARTS = 20
 
 Found = list[tuple[Wanted, ModelResult]]
 
@@ -33,8 +34,8 @@ def at_what_was_reached(
 ) -> tuple[Array, Found]:
     """Places along the load history and the results there: its steps, and what models reached part of the way.
 
-    A model is asked at what it reached, and at what others reached before. One on several mesh levels ends where
-    the first of them does: beyond, there is nothing to compare.
+    A model that kept the state it ended in answers with it; what others reached before, each is asked anew. One on
+    several mesh levels ends where the first of them does: beyond, there is nothing to compare.
 
     Parameters
     ----------
@@ -65,12 +66,17 @@ def at_what_was_reached(
         last, status = ends[want.name]
         lost = places > last
         for k in np.flatnonzero((places % 1.0 > 0.0) & ~lost).tolist():
+            if places[k] == _end(result)[0] and _is_kept(own[k]):
+                own[k] = dataclasses.replace(own[k], status=(CONVERGED,))
+                continue
             there = meshes(want.level)
             own[k] = run_model(level_scene(study, there).at(places[k]), want.name)
             own[k] = restricted(own[k], there) if want.level else own[k]
         # one that is asked each load for itself may answer a further one
         gone = lost if want.name in several else lost & (places % 1.0 > 0.0)
-        merged.append((want, _without(_joined(result, own), gone, status)))
+        for k in np.flatnonzero(gone).tolist():
+            own[k] = dataclasses.replace(own[k], status=(status,))
+        merged.append((want, answered(_joined(result, own))))
     return places, merged
 
 
@@ -82,7 +88,13 @@ def _end(result: ModelResult) -> tuple[float, Status]:
     share = result.scalars.get("load_factor")
     if share is None or status.code in (REFUSED, BROKEN):
         return float(step), status
-    return step + math.floor(_PARTS * share[step]) / _PARTS, status
+    kept = _is_kept(steps_of(result, [step]))
+    return step + (float(share[step]) if kept else math.floor(_PARTS * share[step]) / _PARTS), status
+
+
+def _is_kept(step: ModelResult) -> bool:
+    """Whether a step that failed holds the last state on the way to it."""
+    return bool(np.isfinite(step.displacement).all())
 
 
 def _joined(result: ModelResult, steps: Sequence[ModelResult]) -> ModelResult:
@@ -99,17 +111,17 @@ def _joined(result: ModelResult, steps: Sequence[ModelResult]) -> ModelResult:
     )
 
 
-def _without(result: ModelResult, gone: Mask, why: Status) -> ModelResult:
-    """A result that has no answer to some steps."""
-    if not gone.any():
+def answered(result: ModelResult) -> ModelResult:
+    """A result that has no answer to steps that failed, on the way to which it holds a state."""
+    lost = np.array([not status.ok for status in result.status])
+    if not lost.any():
         return result
-    each = gone[:, None, None]
+    each = lost[:, None, None]
     return dataclasses.replace(
         result,
         displacement=np.where(each, np.nan, result.displacement),
         reaction_force=np.where(each, np.nan, result.reaction_force),
-        fluid_pressure=np.where(gone, np.nan, result.fluid_pressure),
-        energy=np.where(gone, np.nan, result.energy),
-        volume=np.where(gone, np.nan, result.volume),
-        status=tuple(why if lost else own for lost, own in zip(gone.tolist(), result.status, strict=True)),
+        fluid_pressure=np.where(lost, np.nan, result.fluid_pressure),
+        energy=np.where(lost, np.nan, result.energy),
+        volume=np.where(lost, np.nan, result.volume),
     )

@@ -97,7 +97,7 @@ def _answers(payload: Payload) -> None:
     scenes = _scenes(payload["asked"], meshes)
     asked = [one for one in payload["asked"] if one["key"] in scenes]
     steps = [scenes[one["key"]].load(factor) for one in asked for factor in one["factors"]]
-    result = Prepared(scenes[asked[0]["key"]], name, len(steps)).answer(steps)
+    result = Prepared(scenes[asked[0]["key"]], name, len(steps)).answer(steps, ends=True)
     if level:
         result = restricted(result, meshes)
     for place, one in enumerate(asked):  # of several each is one step

@@ -180,8 +180,8 @@ def test_another_metric_version_costs_no_solve(
 def test_a_reference_that_failed_is_no_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answer = models.Prepared.answer
 
-    def failing(self: models.Prepared, loads: Any) -> Any:
-        result = answer(self, loads)
+    def failing(self: models.Prepared, loads: Any, **how: Any) -> Any:
+        result = answer(self, loads, **how)
         if self.model.name != "fem-linear":
             return result
         stopped = Status("diverged", "it did not converge", "do this")
