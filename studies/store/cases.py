@@ -1,8 +1,8 @@
 """Results on disk: one VTKHDF file per case, complete or absent.
 
 A file gets its final name only after it is safely on disk. `results/FORMAT.md` describes all that is in it. A case
-is arrays on its nodes, as HDF5 has them, and after them a line of JSON for all else, which is the dataclass itself
-(`vdmbench.machine.plain`) and says where the arrays are. So one reading gives a case, whoever asks for what of it.
+is arrays on its nodes and a text for all else, which is the dataclass itself (`vdmbench.machine.plain`) and says
+where in the file the arrays are, as its end says where the text is: one reading gives a case, not one an array.
 """
 
 from __future__ import annotations
@@ -44,6 +44,9 @@ SCHEMA = 6
 MAX_BYTES = 2_000_000_000  # of the arrays of a case, which is read whole
 SEAL = b"\nvdmbench-sha256 "  # before the sum that ends a file
 SEAL_BYTES = len(SEAL) + 64 + 1
+ABOUT = "case/about"
+_PLACE = "\n{0.start:012d} {0.stop:012d}"  # of the text, before the seal
+_PLACE_BYTES = 26
 MOVED = "surface_distance"
 PART = "part_of_node"
 _VTK_TRIANGLE = 5
@@ -63,12 +66,9 @@ def write_case(path: Path, case: CaseResult) -> None:
     size = sum(entry.values.nbytes for entry in entries if entry.values is not None)
     if size > MAX_BYTES:
         raise ValueError(f"has {size} bytes of results, more than a case file holds; use fewer load steps")
-    image, blocks = hdf5_image(entries)
-    own = (_POINTS, _CONNECTIVITY, _DATA)
     about = {
         "schema": SCHEMA,
         "versions": _metric_versions(),
-        "arrays": {name: block for name, block in blocks.items() if name.startswith(own)},
         **plain(case, without=_NOT_TOLD),
         "models": {
             name: plain(model, without=(*_FIELDS, PART, "frames")) for name, model in case.models.items()
@@ -82,7 +82,15 @@ def write_case(path: Path, case: CaseResult) -> None:
             for key, one in found.items()
         },
     }
-    content = b"\n".join((image, json_text(about).encode()))
+    own = (_POINTS, _CONNECTIVITY, _DATA)
+    image, place = hdf5_image(
+        [*entries, Entry("case")],
+        ABOUT,
+        lambda arrays: json_text(
+            about | {"arrays": {name: block for name, block in arrays.items() if name.startswith(own)}}
+        ),
+    )
+    content = image + _PLACE.format(place).encode()
     write_atomically(path, content + _seal(content))
 
 
@@ -175,7 +183,7 @@ def _content(path: Path) -> tuple[bytes, dict[str, Any]]:
     if data[-SEAL_BYTES:] != _seal(content):
         raise StoreError(f"{path}: damaged (its SHA-256 does not match); delete it and run again")
     try:
-        about = json.loads(content[content.rfind(b"\n") + 1 :])
+        about = json.loads(content[slice(*map(int, content[-_PLACE_BYTES:].split()))])
         schema = int(about["schema"])
     except _UNREADABLE:  # the text of an older file is elsewhere in it
         about, schema = {}, 0

@@ -1,12 +1,13 @@
 """Arrays on nodes as a file of HDF5, which ParaView reads. The only file that imports h5py.
 
 The file is built in memory, because HDF5 crashes the process on a full disk, in h5py's low-level interface, which
-takes half of the time of the other. Arrays are in one piece, so that where each begins is all that a reader needs.
+takes half of the time of the other. Arrays are in one piece, so that where each begins is all that a reader needs:
+the text that comes last says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -50,8 +51,13 @@ class Block:
         return np.frombuffer(data, self.dtype, count, self.offset).reshape(self.shape)
 
 
-def hdf5_image(entries: Sequence[Entry]) -> tuple[bytes, dict[str, Block]]:
-    """The bytes of a file, groups before what is in them, and where each of its arrays is."""
+def hdf5_image(
+    entries: Sequence[Entry], path: str, text: Callable[[Mapping[str, Block]], str]
+) -> tuple[bytes, slice]:
+    """The bytes of a file, groups before what is in them, and which of them are the text that is made at `path`.
+
+    It is made last, of where each array is.
+    """
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(1 << 16, False)
     access.set_fclose_degree(h5f.CLOSE_STRONG)  # and with it whatever is open in it
@@ -66,17 +72,20 @@ def hdf5_image(entries: Sequence[Entry]) -> tuple[bytes, dict[str, Block]]:
             owner, blocks[entry.path] = _dataset(file, entry.path, np.ascontiguousarray(entry.values))
         for name, value in entry.attributes.items():
             _attach(owner, name.encode(), value)
+    told = text(blocks).encode()
+    _, place = _dataset(file, path, np.array(told, dtype=string_dtype("utf-8", len(told))))
     h5f.flush(file)
     image: bytes = file.get_file_image()
     file.close()
-    return image, blocks
+    return image, slice(place.offset, place.offset + len(told))
 
 
 def _dataset(file: Any, path: str, values: NDArray[Any]) -> tuple[Any, Block]:
     how = h5p.create(h5p.DATASET_CREATE)
     how.set_obj_track_times(False)  # the same numbers, the same bytes, whoever writes them when
     kind = h5t.py_create(values.dtype, logical=True)
-    dataset = h5d.create(file, path.encode(), kind, h5s.create_simple(values.shape), dcpl=how)
+    space = h5s.create_simple(values.shape) if values.shape else _SCALAR
+    dataset = h5d.create(file, path.encode(), kind, space, dcpl=how)
     if not values.size:
         return dataset, Block(0, values.dtype.str, values.shape)
     dataset.write(h5s.ALL, h5s.ALL, values)

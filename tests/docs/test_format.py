@@ -54,7 +54,7 @@ def test_attributes_and_seal_are_as_documented(tmp_path: Path) -> None:
         for group in ("VTKHDF", "VTKHDF/Steps", "VTKHDF/Points"):
             for name in file[group].attrs:
                 assert f"`{name}`" in text, f"{group} has an attribute {name} that FORMAT.md does not name"
-    about = json.loads(path.read_bytes()[: -store.SEAL_BYTES].splitlines()[-1])
+        about = json.loads(file[store.ABOUT][()])
     assert about["schema"] == store.SCHEMA
     assert f"| `schema` | {store.SCHEMA};" in text
     (limit, *_), (quantity, *_) = (

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import h5py
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from vdmbench.store.hdf5 import Entry, hdf5_image
+from vdmbench.store.hdf5 import Block, Entry, hdf5_image
 
 RNG = np.random.default_rng(1)
 ENTRIES = [
@@ -54,8 +54,17 @@ def expected(wanted: Sequence[Entry]) -> dict[str, Any]:
 
 
 def test_a_file_is_what_plain_h5py_writes_and_says_where_its_arrays_are() -> None:
-    image, blocks = hdf5_image(ENTRIES)
-    with h5py.File(io.BytesIO(image), "r") as file:
+    blocks: dict[str, Block] = {}
+
+    def text(found: Mapping[str, Block]) -> str:
+        blocks.update(found)
+        return "é, of all"
+
+    image, place = hdf5_image(ENTRIES, "data/text", text)
+    assert image[place].decode() == "é, of all"
+    with h5py.File(io.BytesIO(image), "r+") as file:
+        assert file["data/text"][()].decode() == "é, of all"
+        del file["data/text"]
         assert tree(file) == expected(ENTRIES)
     arrays = {entry.path: entry.values for entry in ENTRIES if entry.values is not None}
     assert blocks.keys() == arrays.keys()
@@ -63,4 +72,4 @@ def test_a_file_is_what_plain_h5py_writes_and_says_where_its_arrays_are() -> Non
         found = blocks[path].of(image + b"more")
         assert_array_equal(found, values, err_msg=path)
         assert found.dtype == values.dtype
-    assert hdf5_image(ENTRIES)[0] == image, "the same numbers are the same bytes"
+    assert hdf5_image(ENTRIES, "data/text", text)[0] == image, "the same numbers are the same bytes"

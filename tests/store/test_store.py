@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 import tomli_w
@@ -49,7 +50,8 @@ def test_round_trip(tmp_path: Path) -> None:
 
 
 def _about(path: Path) -> str:
-    return path.read_bytes()[: -store.SEAL_BYTES].rpartition(b"\n")[2].decode()
+    with h5py.File(path) as file:
+        return file[store.ABOUT][()].decode()
 
 
 def test_numbers_that_are_not_there_are_null_to_others_and_nan_to_us(tmp_path: Path) -> None:
@@ -124,10 +126,12 @@ def test_vtk_reads_surface_fields_and_steps(tmp_path: Path) -> None:
 
 def _reseal(path: Path, edit: Any) -> None:
     """Tamper with the text of a case file and seal it anew, as somebody with this program's source could."""
-    image, line, text = path.read_bytes()[: -store.SEAL_BYTES].rpartition(b"\n")
-    about = json.loads(text)
+    about = json.loads(_about(path))
     changed = edit(about)
-    content = image + line + (changed if isinstance(changed, bytes) else json.dumps(about).encode())
+    text = changed if isinstance(changed, bytes) else json.dumps(about).encode()
+    image = path.read_bytes()
+    place = store._PLACE.format(slice(len(image), len(image) + len(text)))
+    content = image + text + place.encode()
     path.write_bytes(content + store._seal(content))
 
 
