@@ -36,11 +36,9 @@ from .section_charts import (
 from .section_measurement import against_measurement, inputs
 from .section_scene import scene
 from .section_tables import (
-    all_measures,
     case_table,
     failures,
     how_to_reproduce,
-    provenance,
     small_strain_limits,
 )
 from .section_view import heading, still, surfaces
@@ -70,9 +68,8 @@ AFTER: tuple[Make, ...] = (
     force_against_indentation,
     small_strain_limits,
     run_time_against_error,
-    all_measures,
 )
-APPENDIX: tuple[Make, ...] = (case_table, failures, provenance, how_to_reproduce)
+APPENDIX: tuple[Make, ...] = (case_table, failures, how_to_reproduce)
 
 
 @cache

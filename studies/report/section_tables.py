@@ -1,24 +1,23 @@
-"""Tables: small-strain limits, every measure, every case, what failed, and where the numbers come from."""
+"""Tables: small-strain limits, every case, what failed, and how to reproduce it."""
 
 from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 from ..measures.case import CaseResult, Limit, ModelLimits
 from ..measures.frame import reference_bar, where_reached
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
 from ..measures.metrics import DEFORMATION, VECTOR
-from ..study.registry import PARAMETERS, Family
-from ..verdict.digest import DRIFT, Digest, failed_steps
+from ..study.registry import Family
+from ..verdict.digest import Digest, failed_steps
 from ..verdict.formatting import (
     NOTHING,
     first_of,
     parameter_name,
     percent,
-    plain,
     plural,
     quantity,
     short_percent,
@@ -26,7 +25,7 @@ from ..verdict.formatting import (
 )
 from ..verdict.verdict import Verdict, verdicts
 from ..verdict.words import TITLES
-from .blocks import Block, Cell, Code, Facts, Field, Section, Text, bar_detail, frame_table, note, spread_cell
+from .blocks import Block, Cell, Code, Facts, Field, Section, Text, bar_detail, frame_table, note
 
 _WHY = {
     "unresolved": "unresolved: a finer mesh does not bear it out",
@@ -100,36 +99,6 @@ def _load(limit: Limit, unit: str) -> Cell:
         return Cell(text, bar_detail(1.0, limit.bar), limit.load)
     prefix = {"beyond": "≥ ", "unresolved": ""}.get(limit.state, "to ")
     return Cell(f"{prefix}{text}", _WHY[limit.state], limit.load, tone="muted")
-
-
-def all_measures(digest: Digest) -> Section | None:
-    """Every metric of every compared model at full load, defined, and what the reference has of its own."""
-    found = {
-        name: entry
-        for case in digest.cases
-        for model in digest.compared
-        for name, entry in case.metrics.get(model, {}).items()
-    }
-    rows = [name for name in found if name != DRIFT and any(digest.spread(m, name) for m in digest.models)]
-    if not rows:
-        return None
-
-    def of(model: str) -> Any:
-        return lambda name: spread_cell(digest.spread(model, name), found[name].unit)
-
-    fields = [
-        Field("Measure", lambda name: Cell(_measure_name(name), found[name].definition)),
-        *(Field(model, of(model), "#", "median") for model in digest.compared),
-        Field(str(digest.reference), of(str(digest.reference)), "#", "reference"),
-    ]
-    table = frame_table(rows, fields, "measures")
-    return Section("measures", "All measures at full load", [note("measures"), table])
-
-
-def _measure_name(metric: str) -> str:
-    """A metric's name as words."""
-    words = metric.replace("relative_l2_", "").replace("p95_", "95 % ").replace("_", " ")
-    return words[:1].upper() + words[1:]
 
 
 _OPEN_ROWS = 12
@@ -269,25 +238,11 @@ def stopped_models(digest: Digest) -> list[Stopped]:
     ]
 
 
-_UNITS = {
-    **{name: unit for name, (_, unit) in PARAMETERS.items()},
-    "area": "m²",
-    "volume": "m³",
-    "seconds": "s",
-    "surface_distance_max": "m",
-    "surface_distance_mean": "m",
-    "youngs_modulus": "Pa",
-    "density": "kg/m³",
-    "coarse_density": "kg/m³",
-    "solver_estimated_bytes": "B",
-    "matrix_bytes": "B",
-    "seconds_precompute": "s",
-}
 _SHORT = 16  # hex digits of a hash that are shown
 
 
 def how_to_reproduce(digest: Digest) -> Section:
-    """The commands, and the study as it was written."""
+    """The commands, the study as it was written, and what it was run with."""
     plan, name = digest.run.plan, digest.run.study.study.name
     words = plan.get("command") or ["run", name]
     commands = [words, ["report", str(plan.get("directory", f"results/runs/{name}"))]]
@@ -302,48 +257,24 @@ def how_to_reproduce(digest: Digest) -> Section:
     if digest.run.study_text.strip():
         instead = ", whose geometry --surface replaced" if "--surface" in words else ""
         blocks.append(Code(digest.run.study_text.rstrip(), summary=f"The study file{instead}"))
+    if told := _provenance(digest):
+        blocks.append(Facts(told, summary="Packages, machine and meshes"))
     return Section("reproduce", "How to reproduce", blocks)
 
 
-def provenance(digest: Digest) -> Section | None:
-    """Packages, machine, meshes and the models' parameters, each over all cases."""
-    cases = digest.cases
-    if not cases:
-        return None
-    # the names of files alone: their directories are the user's own affair
-    files = [path.name for case in cases if (path := case.study.geometry.path) is not None]
-    rows = [("geometry file", first_of(list(dict.fromkeys(files)), 3))] if files else []
-    rows.append(("surface nodes", _over([len(case.points) for case in cases], "surface_nodes")))
-    rows += [
-        (f"mesh: {key}", told)
-        for key, told in _each(case.mesh_quality for case in cases)
-        if key != "surface nodes"
+def _provenance(digest: Digest) -> list[tuple[str, str]]:
+    """(what, its values over all cases) of packages, machine, meshes and versions of models."""
+    found: dict[str, dict[str, None]] = {}
+    for case in digest.cases:
+        # the names of files alone: their directories are the user's own affair
+        files = {"geometry file": path.name} if (path := case.study.geometry.path) is not None else {}
+        versions = {f"version of {name}": result.version for name, result in case.models.items()}
+        for key, value in {**files, **case.provenance, **versions}.items():
+            found.setdefault(key, {})[value[:_SHORT] if key.endswith("hash") else value] = None
+    return [
+        (
+            key.removeprefix("package.").replace("_", " "),
+            " to ".join(dict.fromkeys((min(told), max(told)))) if key == "date" else first_of(list(told), 3),
+        )
+        for key, told in found.items()
     ]
-    rows += _each(case.provenance for case in cases)
-    blocks: list[Block] = [Facts(rows)]
-    for model in digest.models:
-        results = [case.models[model] for case in cases if model in case.models]
-        if results:
-            facts = [("version", _over([result.version for result in results], "version"))]
-            facts += _each(result.parameters for result in results)
-            blocks.append(Facts(facts, summary=f"Parameters of {model}"))
-    return Section("provenance", "Provenance", blocks)
-
-
-def _each(tables: Iterable[Mapping[str, float | str]]) -> list[tuple[str, str]]:
-    """(key in words, its values) of every key of some tables."""
-    found: dict[str, list[float | str]] = {}
-    for table in dict.fromkeys(tuple(table.items()) for table in tables):  # most cases are alike
-        for key, value in table:
-            found.setdefault(key, []).append(value)
-    return [(k.removeprefix("package.").replace("_", " "), _over(values, k)) for k, values in found.items()]
-
-
-def _over(values: list[float | str], key: str) -> str:
-    """Numbers as a range with their unit, dates as one too, of other texts the first."""
-    numbers = [float(value) for value in values if not isinstance(value, str)]
-    if len(numbers) == len(values):
-        ends = dict.fromkeys(plain(end, 6 if end.is_integer() else 3) for end in (min(numbers), max(numbers)))
-        return f"{' to '.join(ends)} {_UNITS.get(key, '1').strip('1')}".strip()
-    texts = list(dict.fromkeys(str(value)[: _SHORT if key.endswith("hash") else None] for value in values))
-    return " to ".join(dict.fromkeys((min(texts), max(texts)))) if key == "date" else first_of(texts, 3)

@@ -80,7 +80,7 @@ def test_the_page_reads_as_it_was_looked_at(html: str) -> None:
 
 def test_every_section_is_linked(html: str) -> None:
     names = re.findall(r'<section id="(\w+)"', html)
-    assert len(names) > 10
+    assert len(names) > 8
     assert list(re.findall(r'<a href="#(\w+)"', html)) == names
 
 
@@ -94,7 +94,7 @@ def test_without_a_reference_no_error_is_claimed() -> None:
     ]
     html = page_html(make_run(cases), stills=False)
     names = re.findall(r'<section id="(\w+)"', html)
-    assert names == ["headline", "load", "surface", "cases", "provenance", "reproduce"]
+    assert names == ["headline", "load", "surface", "cases", "reproduce"]
     assert "error" not in words(section(html, "headline")).lower()
 
 
