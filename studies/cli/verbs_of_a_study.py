@@ -273,7 +273,6 @@ def plan_study(options: argparse.Namespace) -> int:
         "--insecure-scheduler",
         "allow a scheduler on another machine without TLS: whoever reaches its network can run programs",
     ),
-    flag("--fail-fast", "stop at the first failure"),
     option("--timeout", type=positive_seconds, metavar="S", help="seconds that one case may take"),
     option(
         "--memory",
@@ -287,7 +286,7 @@ def run_study(options: argparse.Namespace) -> int:
     study = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
-    names = ("shard", "timeout", "memory", "fail_fast", "scheduler", "insecure_scheduler")
+    names = ("shard", "timeout", "memory", "scheduler", "insecure_scheduler")
     how = {name: getattr(options, name) for name in names}
     run, report = run_missing(plan, options, **how)
     return print_run(run, plan.directory, report, options.json)

@@ -68,7 +68,6 @@ def run_tasks(
     logs: Path,
     *,
     timeout: float | None = None,
-    fail_fast: bool = False,
     started: Callable[[Task], None] = lambda _: None,
     where: Callable[[Task, str], None] = lambda *_: None,
 ) -> Iterator[tuple[Task, Said]]:
@@ -127,8 +126,6 @@ def run_tasks(
             if not said.ok:
                 failed[task.id] = said
             yield task, said
-            if fail_fast and not said.ok:
-                return
             sorter.done(task.id)
 
 

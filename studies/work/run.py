@@ -65,7 +65,6 @@ class Options:
     shard: tuple[int, int] = (1, 1)
     timeout: float | None = None
     memory: int | None = None
-    fail_fast: bool = False
     scheduler: str | None = None  # address of a Dask scheduler, whose workers do the tasks
     insecure_scheduler: bool = False  # also without TLS on another machine
 
@@ -204,7 +203,6 @@ def _run_missing(
         pool,
         plan.directory / "failed",
         timeout=options.timeout,
-        fail_fast=options.fail_fast,
         started=lambda task: watch(Event("started", task.label)),
         where=lambda task, line: watch(Event("at", task.label, message=line)),
     ):

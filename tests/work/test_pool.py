@@ -185,13 +185,6 @@ def test_a_slow_task_is_stopped(tmp_path: Path) -> None:
     assert time.monotonic() - began < 30, "the worker was stopped, not waited for"
 
 
-def test_fail_fast_stops_at_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tasks = [task(tmp_path, "x", "raise ValueError"), task(tmp_path, "y", "write")]
-    found = run_here(tmp_path, tasks, monkey=monkeypatch, fail_fast=True)
-    assert list(found) == ["x"]
-    assert not (tmp_path / "out-y").exists()
-
-
 def test_leaving_early_stops_the_workers(tmp_path: Path) -> None:
     tasks = [task(tmp_path, "x", "write"), task(tmp_path, "y", "sleep")]
     began = time.monotonic()
