@@ -17,9 +17,6 @@ from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
-# A region whose points lie this close to one line, in units of its size, cannot take a moment about that line.
-_THIN = 1e-9
-
 
 def traction_forces(mesh: TetMesh, traction: ArrayLike) -> Array:
     """Force per undeformed area in any direction: shear, or anything else.
@@ -46,54 +43,27 @@ def traction_forces(mesh: TetMesh, traction: ArrayLike) -> Array:
     return mesh.summed(mesh.facet_nodes, local)
 
 
-def region_forces(
-    mesh: TetMesh,
-    facets: NDArray[np.bool_],
-    force: ArrayLike,
-    moment: ArrayLike | None = None,
-    about: ArrayLike = (0.0, 0.0, 0.0),
-) -> Array:
-    """A resultant over a region, by the traction a + b x (x - c) that has it, c the region's centroid.
-
-    Without a moment the traction is uniform.
+def region_forces(mesh: TetMesh, facets: NDArray[np.bool_], force: ArrayLike) -> Array:
+    """A resultant over a region, by a uniform traction.
 
     Parameters
     ----------
     mesh : of a problem
     facets : (F,) the region
     force : (3,) its resultant [N]
-    moment : (3,) its moment about the point `about` [N m], or None for what a uniform traction has
-    about : (3,) [m]
 
     Raises
     ------
     SolverError
-        For no facet, or a moment about the line that a region is as thin as.
+        For no facet.
     """
     mask = np.asarray(facets)
     if mask.shape != (len(mesh.triangles),) or mask.dtype != bool or not mask.any():
         raise _bad_load(
             "a region of given forces has no facet", f"give a mask of shape ({len(mesh.triangles)},)"
         )
-    _, weights = facet_quadrature()
-    x = mesh.facet_points
-    share = _areas(mesh) * weights * mask[:, None]
-    area = share.sum()
-    centroid = np.einsum("fq,fqi->i", share, x) / area
-    resultant = np.asarray(force, dtype=np.float64)
-    traction = np.broadcast_to(resultant / area, x.shape) * mask[:, None, None]
-    if moment is not None:
-        arm = x - centroid
-        squares = np.einsum("fq,fqi,fqj->ij", share, arm, arm)
-        inertia = np.trace(squares) * np.eye(3) - squares
-        if np.linalg.eigvalsh(inertia)[0] <= _THIN * np.trace(squares):
-            raise _bad_load(
-                "a region on one line takes no moment about it", "choose more facets, or no moment"
-            )
-        at_centroid = np.asarray(moment) - np.cross(centroid - np.asarray(about), resultant)
-        turn = np.linalg.solve(inertia, at_centroid)
-        traction = traction + np.cross(turn, arm) * mask[:, None, None]
-    return traction_forces(mesh, traction)
+    traction = np.asarray(force, dtype=np.float64) / _areas(mesh)[mask].sum()
+    return traction_forces(mesh, np.where(mask[:, None, None], traction, 0.0))
 
 
 def line_forces(mesh: TetMesh, edges: ArrayLike, force: ArrayLike) -> Array:
@@ -139,32 +109,6 @@ def line_forces(mesh: TetMesh, edges: ArrayLike, force: ArrayLike) -> Array:
         shares = np.array([1.0, 1.0, 4.0]) / 6.0
     weight = np.outer(length / length.sum(), shares)
     return mesh.summed(nodes, weight[:, :, None] * np.asarray(force, dtype=np.float64))
-
-
-def point_forces(mesh: TetMesh, facet: int, barycentric: ArrayLike, force: ArrayLike) -> Array:
-    """A force at one point of a facet.
-
-    Under it the exact displacement is infinite: what a mesh makes of it elsewhere converges, there it does not.
-
-    Parameters
-    ----------
-    mesh : of a problem
-    facet : number of the facet
-    barycentric : (3,) coordinates of the point in it, not negative, sum 1
-    force : (3,) [N]
-
-    Raises
-    ------
-    SolverError
-        For a facet that is none, or a point outside it.
-    """
-    at = np.asarray(barycentric, dtype=np.float64)
-    if not 0 <= facet < len(mesh.triangles):
-        raise _bad_load(f"there is no facet {facet}", f"give 0 to {len(mesh.triangles) - 1}")
-    if at.shape != (3,) or not (at >= 0.0).all() or abs(at.sum() - 1.0) > 1e-9:
-        raise _bad_load(f"barycentric is {at.tolist()}", "give three numbers that are not negative, sum 1")
-    local = np.outer(mesh.facet_functions(at[None])[0], np.asarray(force, dtype=np.float64))
-    return mesh.summed(mesh.facet_nodes[[facet]], local[None])
 
 
 def _areas(mesh: TetMesh) -> Array:
