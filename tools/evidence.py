@@ -12,8 +12,10 @@ import shutil
 import sys
 import tempfile
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +31,8 @@ from vdmbench.store.cases import read_run
 from vdmbench.study.config import Study, expand, load_study
 from vdmbench.study.files import merged
 from vdmbench.study.registry import FINITE_STRAIN, all_models, split
-from vdmbench.verdict.formatting import NOTHING, parameter_name, percent, quantity, short_percent
+from vdmbench.verdict.formatting import NOTHING, parameter_name, percent, quantity, short_percent, swept_value
+from vdmbench.verdict.reading import WRONG, reading
 
 EVIDENCE: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
 MEASURES = (VECTOR, DEFORMATION)
@@ -304,42 +307,59 @@ def stability(name: str, _: Sequence[str]) -> None:
 
 
 def stability_rows(run: Run) -> list[list[str]]:
-    """A row for each parameter of a study: how many solvers stand all of it, and where the others break down.
+    """A row for each number of which cases differ in that alone: who stands all of it, where the others break down.
 
     Raises
     ------
     RuntimeError
         a step that is called converged and is wrong: the table has no place for it.
     """
-    from vdmbench.verdict.digest import Digest
-    from vdmbench.verdict.ladders import ladders
-
-    with np.errstate(all="ignore"):  # of what solvers leave behind that broke down
-        found = ladders(Digest(run))
+    keys = list(dict.fromkeys(key for case in run.cases for key in case.swept))
+    base = {key: Counter(case.swept.get(key) for case in run.cases).most_common(1)[0][0] for key in keys}
     rows = []
-    for ladder in found:
-        silent = [
-            m for m, readings in ladder.readings.items() if any(r is not None and r.silent for r in readings)
-        ]
-        if silent:
-            raise RuntimeError(f"{silent[0]} is wrong in silence along {ladder.key}")
-        places: dict[str, list[str]] = {}
-        for model in ladder.readings:
-            for value, reading in ladder.breakdowns(model):
-                places.setdefault(f"{ladder.text(value)} ({reading.code})", []).append(f"`{model}`")
-        right = sum(not ladder.breakdowns(model) for model in ladder.readings)
-        breaks = "; ".join(f"{place}: {', '.join(models)}" for place, models in places.items()) or "nowhere"
-        ends = f"{ladder.text(ladder.values[0])} to {ladder.text(ladder.values[-1])}"
-        rows.append(
-            [
-                run.study.study.name,
-                parameter_name(ladder.key),
-                ends,
-                f"{right} of {len(ladder.readings)}",
-                breaks,
-            ]
-        )
+    for key in keys:
+        others = [other for other in keys if other != key]
+        alone = [case for case in run.cases if all(case.swept.get(k) == base[k] for k in others)]
+        found = {float(v): case for case in alone if isinstance(v := case.swept.get(key), int | float)}
+        if len(found) > 1:
+            told = _along(key, dict(sorted(found.items())), base[key] if others else None)
+            rows.append([run.study.study.name, parameter_name(key), *told])
     return rows
+
+
+def _along(key: str, cases: Mapping[float, CaseResult], base: float | str | None) -> list[str]:
+    """From where to where a number goes, how many models stand it all, where the others break down."""
+    first = next(iter(cases.values()))
+    unit, own = first.swept_units.get(key, "1"), key.removeprefix("models.").rpartition(".")[0]
+    short = [swept_value(value, unit) for value in cases]
+    texts = [
+        f"{value:.12g}" if unit == "1" and short.count(text) > 1 else text
+        for value, text in zip(cases, short, strict=True)
+    ]
+    known = [name for case in cases.values() for name in case.models]
+    models = [own] if key.startswith("models.") else list(dict.fromkeys(known))
+    places: dict[str, list[str]] = {}
+    for model in models:
+        with np.errstate(all="ignore"):  # of what solvers leave behind that broke down
+            read = [reading(case, model) for case in cases.values()]
+        if any(one is not None and one.code == WRONG for one in read):
+            raise RuntimeError(f"{model} is wrong in silence along {key}")
+        right = [one is not None and one.ok for one in read]
+        for k in _beside(right, list(cases).index(base) if base in cases else None):
+            if (one := read[k]) is not None:
+                places.setdefault(f"{texts[k]} ({one.code})", []).append(f"`{model}`")
+    broken = {name for names in places.values() for name in names}
+    breaks = "; ".join(f"{place}: {', '.join(names)}" for place, names in places.items()) or "nowhere"
+    return [f"{texts[0]} to {texts[-1]}", f"{len(models) - len(broken)} of {len(models)}", breaks]
+
+
+def _beside(right: Sequence[bool], base: int | None) -> list[int]:
+    """The places beside the run of right ones that has the base, else the longest; the first if none is right."""
+    runs = [list(run) for ok, run in groupby(range(len(right)), key=right.__getitem__) if ok]
+    if not runs:
+        return [0]
+    chosen = max([run for run in runs if base in run] or runs, key=len)
+    return [k for k in (chosen[0] - 1, chosen[-1] + 1) if 0 <= k < len(right)]
 
 
 # --- docs/evidence/measured.md ---

@@ -36,7 +36,7 @@ from .acceptance import (
 )
 from .advice import Advice, Reason, by_interaction, reasons
 from .digest import NORMAL, Digest, Outside, Unreached, failed_steps, median_known
-from .ladders import reading
+from .reading import reading
 
 _WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these that a model has
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")

@@ -134,6 +134,28 @@ def test_rows_say_who_stands_it_and_a_silent_wrong_number_is_not_written_down() 
         evidence.stability_rows(ladder_run(wrong=0.01))
 
 
+def test_a_breakdown_is_beside_the_range_that_is_right_around_the_base() -> None:
+    ratio, slivers = "tissue.poisson_ratio", "geometry.slivers"
+
+    def case(stopped: str = "", **swept: float) -> Any:
+        keys = {ratio: swept.get("ratio", 0.45)} | ({slivers: swept["slivers"]} if "slivers" in swept else {})
+        at = {stopped: 0} if stopped else None
+        return make_case({"m": 0.0, "n": 0.0}, label=str(keys), swept=keys, stopped=at, subdivisions=0)
+
+    star = [case(), case(slivers=1e2), case("n", slivers=1e4), case("n", slivers=1e6)]
+    star += [case("m", ratio=0.3), case(ratio=0.499), case("m", ratio=0.4999999), case("m", ratio=0.5)]
+    assert evidence.stability_rows(make_run(star)) == [
+        [
+            "ball",
+            "Poisson ratio",
+            "0.3 to 0.5",
+            "2 of 3",
+            "0.3 (diverged): `m`; 0.4999999 (diverged): `m`",
+        ],
+        ["ball", "slivers", "100 to 1e+06", "2 of 3", "10000 (diverged): `n`"],
+    ]
+
+
 def test_the_table_of_a_measurement_is_that_of_the_page() -> None:
     case = make_case({"vdm-paper": 0.05}, steps=(0.25, 0.5, 1.0), reference="fem:direct")
     run = make_run([dataclasses.replace(case, measurement=example_measurement())])

@@ -1,4 +1,4 @@
-"""Ladders: where on them each solver breaks down, on runs whose breakdowns are known."""
+"""What a solver made of a case: breakdowns told, and what is called converged and is not right."""
 
 from __future__ import annotations
 
@@ -8,15 +8,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from tests.report.runs import make_case, make_run
+from solver_common.solution import CONVERGED
+from tests.report.runs import make_case
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.case import CaseResult, MetricSeries
 from vdmbench.measures.metrics import History, evaluate
-from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.ladders import Ladder, ladders, reading, trusted
+from vdmbench.verdict.reading import WRONG, reading, trusted
 
 DIRECT, LU, NONLINEAR = "vdm-paper", "vdm-paper:lu", "vdm-paper:nonlinear"
-SLIVERS, NU = "geometry.slivers", "tissue.poisson_ratio"
 
 
 def case(
@@ -42,50 +41,23 @@ def case(
     return dataclasses.replace(made, models={**made.models, DIRECT: direct})
 
 
-def star() -> list[CaseResult]:
-    """A base and two ladders: slivers stop the nonlinear solver at the second step, then make LU wrong."""
-    return [
-        case({NU: 0.45}),
-        case({NU: 0.45, SLIVERS: 1e2}),
-        case({NU: 0.45, SLIVERS: 1e4}, stopped={NONLINEAR: 1}),
-        case({NU: 0.45, SLIVERS: 1e6}, lu=0.01, stopped={NONLINEAR: 0}),
-        case({NU: 0.3}, residuals=(1e-15, 1e-5, 1e-15, 1e-15)),
-        case({NU: 0.499}),
-        case({NU: 0.5}, stopped={DIRECT: 0}),
-    ]
+def test_the_first_step_that_failed_says_why() -> None:
+    read = reading(case({}, stopped={NONLINEAR: 1}), NONLINEAR)
+    assert read is not None
+    assert (read.code, read.message) == ("diverged", "the volume could not be held at load factor 0.5")
 
 
-@pytest.fixture(scope="module")
-def found() -> dict[str, Ladder]:
-    return {ladder.key: ladder for ladder in ladders(Digest(make_run(star())))}
-
-
-def test_ladders_hold_the_cases_that_differ_in_one_value(found: dict[str, Ladder]) -> None:
-    assert found[SLIVERS].values == (1e2, 1e4, 1e6), "the base has none"
-    assert found[SLIVERS].base is None
-    assert found[NU].values == (0.3, 0.45, 0.499, 0.5)
-    assert found[NU].base == 0.45
-    assert set(found[NU].readings) == {DIRECT, LU, NONLINEAR}
-
-
-def test_a_breakdown_is_beside_the_range_that_is_right(found: dict[str, Ladder]) -> None:
-    ladder = found[SLIVERS]
-    assert ladder.sound_range(DIRECT) == (0, 2)
-    assert ladder.breakdowns(DIRECT) == []
-    [(value, stopped)] = ladder.breakdowns(NONLINEAR)
-    assert (value, stopped.code) == (1e4, "diverged")
-    assert stopped.message == "the volume could not be held at load factor 0.5"
-    assert not stopped.silent
-    [(value, wrong)] = ladder.breakdowns(LU)
-    assert (value, wrong.code, wrong.silent) == (1e6, "wrong", True)
-    assert wrong.message == "called converged and 1.0e-02 away from vdm-paper"
-    # on both sides of the base
-    assert found[NU].sound_range(DIRECT) == (1, 2)
-    assert [(value, r.code) for value, r in found[NU].breakdowns(DIRECT)] == [
-        (0.3, "wrong"),
-        (0.5, "diverged"),
-    ]
-    assert "residual of 1.0e-05" in found[NU].breakdowns(DIRECT)[0][1].message
+def test_what_is_called_converged_and_is_not_right_is_told() -> None:
+    off, unsolved = case({}, lu=0.01), case({}, residuals=(1e-15, 1e-5, 1e-15, 1e-15))
+    for made, name, told in (
+        (off, LU, "1.0e-02 away from vdm-paper"),
+        (unsolved, DIRECT, "residual of 1.0e-05"),
+    ):
+        read = reading(made, name)
+        assert read is not None
+        assert read.code == WRONG
+        assert told in read.message
+    assert reading(off, DIRECT) == CONVERGED
 
 
 @pytest.mark.parametrize(("residual", "silent"), [(9e-4, False), (1.1e-3, True)])
@@ -95,7 +67,7 @@ def test_single_precision_may_leave_a_larger_residual(residual: float, silent: b
     for made, name, expected in ((single, "vdm-paper:single", silent), (one, DIRECT, True)):
         read = reading(made, name)
         assert read is not None
-        assert read.silent == expected
+        assert (read.code == WRONG) == expected
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-5, 0.01])
@@ -107,7 +79,7 @@ def test_what_is_left_without_load_counts(scale: float) -> None:
     models = {NONLINEAR: dataclasses.replace(result, displacement=u)}
     read = reading(dataclasses.replace(there_and_back, models=models), NONLINEAR)
     assert read is not None
-    assert read.silent == (scale > 1e-3)
+    assert (read.code == WRONG) == (scale > 1e-3)
 
 
 def test_the_refined_solver_is_trusted_before_the_direct_one() -> None:
@@ -128,7 +100,7 @@ def test_a_quasi_linear_step_that_is_too_long_is_told_from_a_wrong_number() -> N
     one = dataclasses.replace(there_and_back, models={quasi: dataclasses.replace(result, displacement=u)})
     read = reading(dataclasses.replace(one, metrics={}), quasi)
     assert read is not None
-    assert (read.code, read.silent) == ("step-too-long", False)
+    assert read.code == "step-too-long"
     assert "1.0e-02 of the displacement stays" in read.message
 
 
@@ -150,7 +122,7 @@ def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> No
     if grown < 0.1:  # 0.5 %
         assert direct.ok
     else:  # 12.8 %
-        assert (direct.code, direct.silent) == ("beyond-linear", False)
+        assert direct.code == "beyond-linear"
         assert "second order is 13 % of the volume" in direct.message
         scalars = {"relative_residual": np.full(1, 1e-3)}
         unsolved = dataclasses.replace(results[DIRECT], scalars=scalars)
