@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -42,20 +41,6 @@ SMALL_SUPPORT = Status(
     "hold a wider region, or take a smaller mesh_size",
 )
 _CHUNK = 256  # points per pass: bounds the temporary arrays
-
-
-@dataclass(frozen=True)
-class Transfer:
-    """Between N surface nodes of a case and its coarse mesh of n_nodes element nodes.
-
-    Attributes
-    ----------
-    interpolation : (N, n_nodes) displacement of the case's nodes from that of the coarse ones
-    nearest : (n_coarse,) the case's held surface node nearest to each coarse surface node
-    """
-
-    interpolation: csr_array
-    nearest: Index
 
 
 def coarse_mesh(mesh: Mesh, coarsening: float = COARSENING) -> Mesh:
@@ -170,7 +155,7 @@ class CoarseProblem:
         start = time.perf_counter()
         self._scene = scene
         coarse, tissue, fibres = coarse_mesh(scene.mesh, coarsening), scene.tissue, scene.anisotropy
-        held, nearest = coarse_support(scene, coarse)
+        held, self._nearest = coarse_support(scene, coarse)
         young: ArrayLike = tissue.youngs_modulus
         ratio: ArrayLike = tissue.poisson_ratio
         options: dict[str, Any] = {"elastic_supports": coarse_springs(scene, coarse)}
@@ -192,18 +177,16 @@ class CoarseProblem:
             expected_loads=n_loads,
             **options,
         )
-        self._transfer = Transfer(
-            surface_interpolation(self.problem.mesh, scene.mesh.surface_points), nearest
-        )
+        self._interpolation = surface_interpolation(self.problem.mesh, scene.mesh.surface_points)
         self._coarse = coarse
         self._seconds = time.perf_counter() - start
 
     def solve(self, loads: Sequence[SurfaceLoad]) -> Solution:
         """One step per load, independent of each other and solved together."""
         scene, problem, tissue, start = self._scene, self.problem, self._scene.tissue, time.perf_counter()
-        mesh, interpolation, count = problem.mesh, self._transfer.interpolation, len(loads)
+        mesh, interpolation, count = problem.mesh, self._interpolation, len(loads)
         no_pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
-        coarse = [Load(no_pressure, one.prescribed[self._transfer.nearest], one.gravity) for one in loads]
+        coarse = [Load(no_pressure, one.prescribed[self._nearest], one.gravity) for one in loads]
         forces = nodal_forces(mesh, coarse, problem.density)
         for own, load in zip(forces, loads, strict=True):
             own += interpolation.T @ (load.contact_force + load.dead_force)

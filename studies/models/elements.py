@@ -77,7 +77,13 @@ def _coarse(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noq
     return SetUp(CoarseProblem(scene, n_loads).solve)
 
 
-def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+def _finite_strain(
+    scene: Scene,
+    solver: str,
+    name: str,  # noqa: ARG001
+    n_loads: int,
+    path: LoadPath | None = None,
+) -> SetUp:
     if solver == PLAIN:
         from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
 
@@ -86,13 +92,13 @@ def _finite_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
     from fem_reference.finite_strain import FiniteStrainProblem
 
     if SCANNED in scene.extras:
-        return _scanned(scene, n_loads)
+        return _scanned(scene, n_loads, path)
     problem = FiniteStrainProblem(**_hyperelastic(scene, n_loads))
-    return SetUp(_at_finite_strain(scene, problem, problem.mesh))
+    return SetUp(_at_finite_strain(scene, problem, problem.mesh, path))
 
 
 def _at_finite_strain(
-    scene: Scene, problem: FiniteStrainProblem, mesh: TetMesh, path: LoadPath | None = None
+    scene: Scene, problem: FiniteStrainProblem, mesh: TetMesh, path: LoadPath | None
 ) -> Answer:
     """Loads on a problem, spread over the surface of `mesh`."""
     if scene.indenter:
@@ -100,7 +106,7 @@ def _at_finite_strain(
     return lambda loads: problem.solve(fem_loads(loads, mesh), _asked(scene, *_LARGEST), path)
 
 
-def _scanned(scene: Scene, n_loads: int, path: LoadPath | None = None) -> SetUp:
+def _scanned(scene: Scene, n_loads: int, path: LoadPath | None) -> SetUp:
     """Of a body scanned under its weight: its rest shape first; the loads then start from the scanned one."""
     from fem_reference.finite_strain import FiniteStrainProblem
 
@@ -122,15 +128,9 @@ def _scanned(scene: Scene, n_loads: int, path: LoadPath | None = None) -> SetUp:
 
 
 def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
-    if solver == PLAIN or scene.indenter:
-        return _finite_strain(scene, solver, name, n_loads)
-    from fem_reference.finite_strain import FiniteStrainProblem
     from fem_reference.load_path import LoadPath
 
-    if SCANNED in scene.extras:
-        return _scanned(scene, n_loads, LoadPath())
-    problem = FiniteStrainProblem(**_hyperelastic(scene, n_loads))
-    return SetUp(_at_finite_strain(scene, problem, problem.mesh, LoadPath()))
+    return _finite_strain(scene, solver, name, n_loads, LoadPath())
 
 
 def _touched(scene: Scene) -> Index:

@@ -59,7 +59,6 @@ class ModelResult:
     scalars: Mapping[str, Array] = field(default_factory=dict)  # (S,) each
     part_of_node: NDArray[np.int64] | None = None  # (N,) see `Solution.part_of_node`
     frames: FrameTimes | None = None  # measured anew when the run ended; None where they were not
-    key: str = ""  # content key of all that decides the result; "" where it is not to be used again
 
     def __post_init__(self) -> None:
         taken = self.scalars.keys() & {own.name for own in fields(self)}
