@@ -96,7 +96,7 @@ def _cycle(
     return precondition(combined), count
 
 
-def independent_columns(columns: Array, tolerance: float = 1e-12) -> tuple[NDArray[np.int64], Array]:
+def independent_columns(columns: Array, tolerance: float) -> tuple[NDArray[np.int64], Array]:
     """A subset of the columns that spans the rest, and the coefficients that do it.
 
     A load history is mostly one load times a factor: solving the subset is then enough.

@@ -18,7 +18,7 @@ from scipy.sparse import csc_array
 
 from fem_reference.costs import Estimate, estimate_costs, faster_that_fits
 from fem_reference.factorisation import LIBRARY, Analysis, pivotable_triangle
-from fem_reference.krylov import gmres, independent_columns
+from fem_reference.krylov import gmres
 from fem_reference.memory import allowed_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
 from fem_reference.solution import SolverError
@@ -150,29 +150,19 @@ class IterativeSolver:
         self._precondition = BlockPreconditioner(system)
 
     def solve(self, rhs: Array) -> Solved:
-        """Solve for independent columns and combine; see `Solver`."""
-        x = np.zeros_like(rhs)
+        """Solve for each; see `Solver`."""
+        x = np.empty_like(rhs)
         iterations = np.zeros(rhs.shape[1], dtype=np.int64)
-        chosen, coefficients = independent_columns(rhs)
-        for column in chosen:
-            x[:, column], iterations[column] = self._gmres(rhs[:, column], np.zeros(len(rhs)))
-        combined = np.setdiff1d(np.arange(rhs.shape[1]), chosen)
-        x[:, combined] = x[:, chosen] @ coefficients[:, combined]
-        residual = relative_residual(self._system, x, rhs)
-        for column in combined[~(residual[combined] <= ITERATIVE_TOLERANCE)]:
-            x[:, column], iterations[column] = self._gmres(rhs[:, column], x[:, column])
-            residual[column] = relative_residual(self._system, x[:, [column]], rhs[:, [column]])[0]
-        return Solved(x, residual, iterations)
-
-    def _gmres(self, rhs: Array, start: Array) -> tuple[Array, int]:
-        return gmres(
-            self._system.apply,
-            self._precondition,
-            np.ascontiguousarray(rhs),
-            start,
-            tolerance=_GMRES_TARGET,
-            max_iterations=_MAX_ITERATIONS,
-        )
+        for column in range(rhs.shape[1]):
+            x[:, column], iterations[column] = gmres(
+                self._system.apply,
+                self._precondition,
+                np.ascontiguousarray(rhs[:, column]),
+                np.zeros(len(rhs)),
+                tolerance=_GMRES_TARGET,
+                max_iterations=_MAX_ITERATIONS,
+            )
+        return Solved(x, relative_residual(self._system, x, rhs), iterations)
 
 
 class IterativeThenDirect:

@@ -60,15 +60,6 @@ def test_single_precision_gives_way_to_double_where_it_is_too_coarse() -> None:
     assert_allclose(solved.x, _exact(stiff, rhs[:, 0])[:, None], rtol=0, atol=1e-6 * np.abs(solved.x).max())
 
 
-def test_a_load_history_is_one_iterative_solve() -> None:
-    system = _system()
-    load = np.random.default_rng(0).standard_normal(system.size)
-    solved = IterativeSolver(system, None, "").solve(np.outer(load, [0.25, 1.0, 0.5]))
-    assert (solved.iterations > 0).sum() == 1
-    assert solved.residual.max() <= 1e-8
-    assert_allclose(solved.x[:, 0] * 4.0, solved.x[:, 1], rtol=1e-9, atol=1e-12 * np.abs(solved.x).max())
-
-
 def test_the_coarse_matrix_is_a_product() -> None:
     system = _system()
     vertices = system.kept[system.kept < system.mesh.n_vertices]
