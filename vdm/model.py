@@ -29,6 +29,7 @@ from vdm.formulations.paper import PaperFormulation
 from vdm.formulations.vector import VectorFormulation
 from vdm.material import ParameterError, Parameters
 from vdm.mesh_error import MeshError
+from vdm.parts.cut import Cut
 from vdm.parts.lumps import LumpyFormulation
 from vdm.parts.solve import PartsSolver
 from vdm.peers.bem import BoundaryFormulation
@@ -99,6 +100,7 @@ class Model:
         figure-8 takes; no other solver reads it
     stop : of figure-8: where an iteration ends, see `vdm.solvers.figure_8`; "printed" where none is given
     tolerance : of the iterative solvers: residual over the right-hand side
+    cut : of boundary elements at large displacements: the parts that the body has, none for those that it needs
 
     Raises
     ------
@@ -126,6 +128,7 @@ class Model:
         volume_row: VolumeRow | None = None,
         stop: Stop | None = None,
         tolerance: float = TOLERANCE,
+        cut: Cut | None = None,
     ) -> None:
         start = time.perf_counter()
         _check_choices(
@@ -173,7 +176,7 @@ class Model:
         self.solver_name = solver
         self.solver: Solver
         self.solver = _make_solver(
-            solver, self.problem, constraint_method, penalty, volume_row, stop, tolerance
+            solver, self.problem, constraint_method, penalty, volume_row, stop, tolerance, cut
         )
         self.seconds_setup = time.perf_counter() - start
         self._judged: Problem | None = None
@@ -373,6 +376,7 @@ def _make_solver(
     volume_row: VolumeRow | None,
     stop: Stop | None,
     tolerance: float,
+    cut: Cut | None,
 ) -> Solver:
     def at_rest() -> Factor:
         return problem.formulation.factor(problem.free)
@@ -384,7 +388,7 @@ def _make_solver(
         "lu": lambda: LuSolver(problem, constraint_method, penalty),
         "quasi-linear": lambda: QuasiLinearSolver(problem, volume_row or "corrected"),
         "nonlinear": lambda: (
-            PartsSolver(problem)
+            PartsSolver(problem, cut)
             if isinstance(problem.formulation, BoundaryFormulation)
             else NonlinearSolver(problem)
         ),

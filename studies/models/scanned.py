@@ -1,7 +1,7 @@
 """Bodies whose shape was measured under their weight (`gravity.scanned`): loads start from that shape.
 
 The rest shape is a fixed point: its points move back by what the body, sagged from it, misses of the measured
-shape (Sellier, Journal of Fluids and Structures 27 (2011) 1461), each step scaled by Aitken's relaxation.
+shape (Sellier, Journal of Fluids and Structures 27 (2011) 1461), with what former steps told of the slope.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     S = TypeVar("S", FemSolution, VdmSolution)
 
-TOLERANCE = 1e-5  # of the largest sag, of what the sagged body misses of the measured shape
+TOLERANCE = 1e-4  # of the largest sag, of what the sagged body misses of the measured shape
 _MOST = 40  # steps
-_LEAST_RELAXED, _MOST_RELAXED = 0.1, 3.0
+_REMEMBERED = 10
 
 
 def rest_shape(measured: Array, sag: Callable[[Array], Array]) -> tuple[Array, Array]:
@@ -46,17 +46,15 @@ def rest_shape(measured: Array, sag: Callable[[Array], Array]) -> tuple[Array, A
     SolverError
         if the steps do not come to an end: a body too soft for its weight has no rest shape that they find.
     """
-    rest, relaxed, before = measured, 1.0, np.zeros_like(measured)
+    from vdm.solvers.anderson import Anderson
+
+    rest, anderson = measured, Anderson(_REMEMBERED)
     for _ in range(_MOST):
         displacement = sag(rest)
         missed = measured - (rest + displacement)
         if np.abs(missed).max() <= TOLERANCE * np.abs(displacement).max():
             return rest, displacement
-        change = missed - before
-        if before.any():
-            relaxed *= -float(np.vdot(before, change)) / float(np.vdot(change, change))
-            relaxed = float(np.clip(relaxed, _LEAST_RELAXED, _MOST_RELAXED))
-        rest, before = rest + relaxed * missed, missed
+        rest = anderson.next(rest.ravel(), missed.ravel()).reshape(rest.shape)
     raise solver_error(
         "no-rest-shape",
         f"no rest shape was found that sags into the scanned one: after {_MOST} steps a point is off by"

@@ -25,37 +25,56 @@ from .scanned import from_scan, rest_shape
 if TYPE_CHECKING:
     from scipy import sparse
 
+    from vdm.constraints import Load
     from vdm.formulations.base import Formulation
     from vdm.incremental import IncrementalModel
     from vdm.material import Lumps, Parameters
     from vdm.model import Model
+    from vdm.parts.cut import Cut
     from vdm.solution import Solution
     from vdm.surface import SurfaceMesh
 
 
 def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
     """The model `name` set up on the scene's body; see `vdmbench.models.model.Prepare`."""
-    if SCANNED not in scene.extras:
-        return _at_rest(scene, name)
-    start, mesh, rest = time.perf_counter(), scene.mesh, scene
-    found = _at_rest(scene, name)
+    if SCANNED in scene.extras:
+        return _scanned(scene, name)
+    springs = _springs(scene)
+    return _set_up(_model(scene, name, springs), springs, scene)
+
+
+def _scanned(scene: Scene, name: str) -> SetUp:
+    """Of a body scanned under its weight: its rest shape first; the loads then start from the scanned one."""
+    from vdm.model import Model
+    from vdm.parts.solve import PartsSolver
+    from vdm.parts.unloaded import Unloading
+
+    def solver() -> PartsSolver:
+        assert isinstance(model, Model)
+        assert isinstance(model.solver, PartsSolver)
+        return model.solver
+
+    start, mesh, rest, springs = time.perf_counter(), scene.mesh, scene, _springs(scene)
+    model = _model(scene, name, springs)
+    search = Unloading(solver(), _load(scene.load(0.0)))
 
     def sag(points: Array) -> Array:
-        nonlocal scene, rest, found
-        if points is not mesh.surface_points:
+        """Of the rest shape that has the stiffness of this one: what is found has its own."""
+        nonlocal rest, springs, model
+        if points is not search.seen:
             moved = mesh.points.copy()
-            moved[mesh.surface_nodes] = points
+            moved[mesh.surface_nodes] = points[: len(mesh.surface_nodes)]
             rest = dataclasses.replace(scene, mesh=dataclasses.replace(mesh, points=moved))
-            found = _at_rest(rest, name)
-        solution = found.solve([rest.load(0.0)])
-        if not solution.status[0].ok:
-            raise SolverError(solution.status[0])
-        # the rest shapes are all of one number of parts: the study's, or what the first had
-        if "parts" in solution.scalars and "parts" not in scene.parameters:
-            scene = dataclasses.replace(
-                scene, parameters={**scene.parameters, "parts": int(solution.scalars["parts"][0])}
-            )
-        return np.asarray(solution.displacement[0])
+            springs = _springs(rest)
+            model = _model(rest, name, springs, search.cut(points))
+        return search.seen - search.rest(solver())
+
+    rest_shape(search.seen, sag)
+    found = _set_up(model, springs, scene)
+    weighed = found.solve([rest.load(0.0)])
+    if not weighed.status[0].ok:
+        raise SolverError(weighed.status[0])
+    seconds = time.perf_counter() - start
 
     def on_rest(load: SurfaceLoad) -> SurfaceLoad:
         """The pressures of a load as forces on the rest shape, with which they turn."""
@@ -64,31 +83,17 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
             load, contact_pressure=own.contact_pressure, contact_force=own.contact_force
         )
 
-    _, sagged = rest_shape(mesh.surface_points, sag)
-    seconds = time.perf_counter() - start
+    sagged = np.asarray(weighed.displacement[0])
     return SetUp(lambda loads: from_scan(found.solve([on_rest(load) for load in loads]), sagged, seconds))
 
 
-def _at_rest(scene: Scene, name: str) -> SetUp:
-    """The same of a body whose mesh is its rest shape."""
-    from vdm.constraints import Load
+def _set_up(model: Model | IncrementalModel, springs: sparse.csr_array | None, scene: Scene) -> SetUp:
+    """A model made ready, with the forces of its springs apart."""
     from vdm.model import Model
     from vdm.solvers.linear import LinearSolver
 
-    springs = _springs(scene)
-    model = _model(scene, name, springs)
-
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
-        steps = [
-            Load(
-                contact_pressure=load.contact_pressure,
-                contact_force=load.contact_force,
-                prescribed=load.prescribed,
-                dead_force=load.dead_force if load.dead else None,
-            )
-            for load in loads
-        ]
-        solution = model.solve(steps, condition=scene.condition)
+        solution = model.solve([_load(load) for load in loads], condition=scene.condition)
         # of the incremental model there are none: it declares to take no springs
         if springs is None or not isinstance(model, Model):
             return solution
@@ -96,6 +101,17 @@ def _at_rest(scene: Scene, name: str) -> SetUp:
 
     solver_of_pressures = model.solver if isinstance(model, Model) else None
     return SetUp(solve, solver_of_pressures if isinstance(solver_of_pressures, LinearSolver) else None)
+
+
+def _load(load: SurfaceLoad) -> Load:
+    from vdm.constraints import Load
+
+    return Load(
+        contact_pressure=load.contact_pressure,
+        contact_force=load.contact_force,
+        prescribed=load.prescribed,
+        dead_force=load.dead_force if load.dead else None,
+    )
 
 
 def _springs(scene: Scene) -> sparse.csr_array | None:
@@ -143,7 +159,9 @@ def _apart(solution: Solution, springs: sparse.csr_array, formulation: Formulati
     )
 
 
-def _model(scene: Scene, name: str, springs: sparse.csr_array | None) -> Model | IncrementalModel:
+def _model(
+    scene: Scene, name: str, springs: sparse.csr_array | None, cut: Cut | None = None
+) -> Model | IncrementalModel:
     """The model of the scene's tissue; parameters that the study does not set follow a rule from it."""
     from vdm.incremental import IncrementalModel
     from vdm.material import Parameters
@@ -197,7 +215,7 @@ def _model(scene: Scene, name: str, springs: sparse.csr_array | None) -> Model |
     options |= {key: given[key] for key in _OF_SOLVERS if key in given}
     if solver == INCREMENTAL:
         return IncrementalModel(mesh.surface_points, mesh.triangles, parameters, **options)
-    return Model(mesh.surface_points, mesh.triangles, parameters, solver=solver, **options)
+    return Model(mesh.surface_points, mesh.triangles, parameters, solver=solver, cut=cut, **options)
 
 
 def _lumps(scene: Scene, own_ratio: bool) -> Lumps:

@@ -14,8 +14,11 @@ from vdm.parts.caps import CutError, cap
 from vdm.parts.cut import cut, volume
 from vdm.parts.joined import JoinedFormulation
 from vdm.parts.solve import PartsSolver
+from vdm.parts.unloaded import Unloaded, Unloading
 from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFactor
+from vdm.solution import SolverError
 from vdm.solvers.linear import LinearSolver
+from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver
 
 Array = np.ndarray
 E, LENGTH, SIDE = 3e4, 0.1, 0.01
@@ -260,3 +263,42 @@ def test_parts_at_small_displacements_are_one_body() -> None:
     assert np.linalg.norm(found - whole) < 0.005 * np.linalg.norm(whole)
     bent = bending_error(body.problem, body.factor)
     assert bent == pytest.approx(model.bending_error, rel=0.2)
+
+
+def test_a_body_is_led_back_from_its_sag_to_rest_by_the_slope_of_what_is_tried() -> None:
+    model = clamped(ROD, 0.2, density=1e3, gravity=(0.0, 10.0, -60.0), parts=2)
+    assert isinstance(model.solver, PartsSolver)
+    body, load = model.solver.body, Load(np.zeros(len(ROD[0])))
+    step = model.solver.step(load)
+    assert isinstance(step, DeformedStep)
+    assert step.balance is not None
+    seen = body.cut.points + step.balance.x
+    sag = np.abs(step.balance.x).max()
+    assert sag > 0.005
+    back = Unloaded(body, seen)
+    rng = np.random.default_rng(0)
+    x = np.where(body.free[:, None], 1e-3 * rng.normal(size=seen.shape), 0.0)
+    pressure = rng.normal(size=2)
+    lacking, gap = rng.normal(size=seen.shape), rng.normal(size=2)
+    change, pushed = back.correction(back.balance(load, x, pressure), lacking, gap, np.eye(3))
+    near, h = [], 1e-6 / np.abs(change).max()
+    for sign in (-h, h):
+        moved = x.copy()
+        moved[body.free] += sign * change
+        near.append(back.balance(load, moved, pressure + sign * pushed))
+    size = np.abs(lacking).max()
+    supplied = (near[1].lacking - near[0].lacking)[body.free] / (2.0 * h)
+    assert_allclose(supplied, -lacking[body.free], rtol=0.0, atol=1e-5 * size)
+    assert_allclose((near[1].gap - near[0].gap) / (2.0 * h), -gap, rtol=0.0, atol=1e-5)
+    led = NonlinearSolver(body.problem, back, model.solver.factor).step(load)
+    assert isinstance(led, DeformedStep)
+    assert led.balance is not None
+    assert_allclose(led.balance.x, -step.balance.x, rtol=0.0, atol=1e-6 * sag)
+
+
+def test_a_load_that_cannot_be_undone_is_named_with_the_share_that_was() -> None:
+    model = clamped(ROD, 0.2, density=1e3, gravity=(0.0, 0.0, -1e5), parts=2)
+    assert isinstance(model.solver, PartsSolver)
+    search = Unloading(model.solver, Load(np.zeros(len(ROD[0]))))
+    with pytest.raises(SolverError, match=r"beyond \d+ % of its weight the scan cannot be undone"):
+        search.rest(model.solver)

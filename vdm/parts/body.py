@@ -25,6 +25,7 @@ columns of a border E, with unknowns q of which the first is the pressure:
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,7 +35,7 @@ from solver_common.arrays import Array, Index, Mask
 from vdm.constraints import Load
 from vdm.deformed import DeformableSurface, DeformedSurface, best_rotation
 from vdm.formulations.base import Factor
-from vdm.parts.cut import cut
+from vdm.parts.cut import Cut, cut
 from vdm.parts.joined import JoinedFormulation
 from vdm.parts.part import Nothing, Part, condensed, dofs
 from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, moments, turned_back
@@ -52,8 +53,8 @@ FINEST = 16  # parts that the spread of rotations is read from
 # of the surface's area: its strain is below that of the rest, which grows at rims without limit on finer meshes
 MOST_AREA = 0.99
 LARGEST_STRAIN = 0.1
-# (3, 9): v @ _TURNED is (3, 3) with e_k x v in column k
-_TURNED = np.cross(np.eye(3)[None], np.eye(3)[:, None]).transpose(0, 2, 1).reshape(3, 9)
+# (3, 9): v @ TURNED is (3, 3) with e_k x v in column k
+TURNED = np.cross(np.eye(3)[None], np.eye(3)[:, None]).transpose(0, 2, 1).reshape(3, 9)
 BORDER = 7  # unknowns of a part beside displacements: its pressure and what its turning adds, six
 
 
@@ -126,11 +127,11 @@ class Parts:
 
     has_slope = True
 
-    def __init__(self, problem: Problem, count: int) -> None:
+    def __init__(self, problem: Problem, count: int, given: Cut | None = None) -> None:
         whole = problem.formulation
         assert isinstance(whole, BoundaryFormulation)
         surface, held = whole.surface, problem.support.held
-        self.cut = cut(surface.points, surface.triangles, count, _rim(surface, held))
+        self.cut = given or cut(surface.points, surface.triangles, count, _rim(surface, held))
         points = self.cut.points
         n = len(points)
         self.rest = points - problem.body.origin
@@ -220,9 +221,7 @@ class Parts:
         m, state = self.n_parts, self._joint.at(x[self._nodes])
         turns = best_rotation(moments(self._joint.levers, state.positions, self._first))
         away = np.einsum("nj,nij->ni", state.positions, turns[self._part]) - self._joint.rest
-        forces = np.concatenate(
-            [part.form.swollen_force(away[span]) for part, span in zip(self.parts, self._spans, strict=True)]
-        )
+        forces = np.concatenate([part.form.swollen_force(away[span]) for part, span in self._each()])
         internal = np.asarray(self._sum @ turned_back(forces, turns, state, self._first))
         held, filled = self._cavities(state)
         pushed = pressure[self._part][:, None] * state.area_vectors + filled @ pressure[m:]
@@ -244,6 +243,10 @@ class Parts:
         energy = 0.5 * float(np.vdot(away, forces))
         acting = _Acting(load, state, turns, away, energy, on_surface, weight, rise, filled)
         return Balance(x, pressure, gap, internal - applied, scale, acting)
+
+    def _each(self) -> Iterator[tuple[Part, slice]]:
+        """Parts, and where their nodes are among those of all."""
+        return zip(self.parts, self._spans, strict=True)
 
     def _cavities(self, state: DeformedSurface) -> tuple[Array, Array]:
         """Volumes (k,) of the filled cavities, and their gradient (n_p, 3, k) at the nodes of all parts.
@@ -365,20 +368,20 @@ class Parts:
         y = y - part.areas @ y
         stretch = levers.T @ y
         inertia = np.trace(stretch) * np.eye(3) - stretch
-        turned = (y @ _TURNED).reshape(-1, 3, 3)
+        turned = (y @ TURNED).reshape(-1, 3, 3)
         stressed = part.form.swollen_forces(np.concatenate([away[:, :, None], turned], axis=2))
         vectors = acting.state.area_vectors[span] @ q.T
         pushed = (balance.pressure[number] + acting.weight[part.nodes])[:, None] * vectors
         own = part.nodes[part.owns]
         pushed[part.owns] += acting.on_surface[own] @ q.T
         pushed += acting.filled[span] @ balance.pressure[self.n_parts :] @ q.T
-        slope = ((stressed[:, :, 0] - pushed) @ _TURNED).reshape(-1, 3, 3) - stressed[:, :, 1:]
+        slope = ((stressed[:, :, 0] - pushed) @ TURNED).reshape(-1, 3, 3) - stressed[:, :, 1:]
         slope -= vectors[:, :, None] * ((q @ acting.rise) @ turned)[:, None, :]
         met = turned.reshape(-1, 3).T @ slope.reshape(-1, 3)
         inverse = np.zeros((6, 6))
         inverse[:3, 3:] = inverse[3:, :3] = np.eye(3)
         inverse[3:, 3:] = 0.5 * (met + met.T)
-        follows = np.einsum("kb,nab->nak", np.linalg.inv(inertia), (levers @ _TURNED).reshape(-1, 3, 3))
+        follows = np.einsum("kb,nab->nak", np.linalg.inv(inertia), (levers @ TURNED).reshape(-1, 3, 3))
         return np.concatenate([follows, slope], axis=2), inverse
 
     def _joined_at(self, turns: Array) -> Array:
@@ -389,7 +392,7 @@ class Parts:
         for part, q in zip(self.parts, turns, strict=True):
             if len(part.places):
                 at = dofs(part.places)
-                matrix[np.ix_(at, at)] += _turned_block(part.carried, q)
+                matrix[np.ix_(at, at)] += turned_block(part.carried, q, q)
         if len(matrix):
             self._factor = DenseFactor(matrix, few=True)
         self._turns = turns
@@ -406,7 +409,7 @@ class Parts:
     def mean_pressure(self, balance: Balance) -> float:
         """By volume [Pa]: a part's is that of the tractions, as in one that is not swollen."""
         volumes, shares = self.volumes[: self.n_parts], 0.0
-        for part, span in zip(self.parts, self._spans, strict=True):
+        for part, span in self._each():
             assert part.form.swelling is not None
             shares += part.form.swelling.pressure(balance.parts.away[span]) / 3.0
         return float((balance.pressure[: self.n_parts] @ volumes + shares) / volumes.sum())
@@ -458,11 +461,11 @@ def _angles(traces: Array) -> Array:
     return np.asarray(np.arccos(np.clip((traces - 1.0) / 2.0, -1.0, 1.0)))
 
 
-def _turned_block(matrix: Array, q: Array) -> Array:
-    """(3n, 3n) symmetric matrix of a part's frame in the world's: q^T M q node by node."""
+def turned_block(matrix: Array, q: Array, p: Array) -> Array:
+    """(3n, 3n) symmetric matrix between a part's frame and the world's: q^T M p node by node."""
     n = len(matrix)
     half = (matrix.reshape(n, -1, 3) @ q).reshape(n, n)
-    return (half.T.reshape(n, -1, 3) @ q).reshape(n, n)
+    return (half.T.reshape(n, -1, 3) @ p).reshape(n, n)
 
 
 def _rim(surface: SurfaceMesh, held: Mask) -> Mask | None:

@@ -12,6 +12,7 @@ from solver_common.arrays import Index
 from vdm.constraints import Load
 from vdm.material import MOST_PARTS
 from vdm.parts.body import Parts, parts_wanted, pieces_of
+from vdm.parts.cut import Cut
 from vdm.peers.bem import BoundaryFormulation
 from vdm.peers.bem_sparse import RoughFormulation
 from vdm.problem import Problem, Step
@@ -32,12 +33,13 @@ class PartsSolver:
     Parameters
     ----------
     problem : of boundary elements
+    cut : into the parts that it has; None: it is cut as its loads need
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self._whole = problem
+    def __init__(self, problem: Problem, cut: Cut | None = None) -> None:
+        self._whole, self._cut = problem, cut
         self._solvers: dict[int, NonlinearSolver] = {}
-        self._given = problem.formulation.parameters.parts
+        self._given = problem.formulation.parameters.parts if cut is None else len(cut.parts)
         self._least = 1  # parts that former loads asked for
         self._finer: NonlinearSolver | None = None
         self._finer_step: Step | None = None
@@ -65,11 +67,11 @@ class PartsSolver:
         """Of that problem."""
         return self.solver.factor
 
-    def prepare(self, loads: Sequence[Load]) -> float:
+    def prepare(self, loads: Sequence[Load], compared: bool = True) -> float:
         """Cut the body as its loads need; the seconds that this took.
 
         A guess, by a coarse body, saves the whole one where it is not needed: how many parts there are is read
-        from a linear answer of the parts themselves.
+        from a linear answer of the parts themselves. Unless answers are `compared`, none has twice the parts.
         """
         start = time.perf_counter()
         surface, load = self._whole.formulation.surface, self._unturned(self._largest(loads))
@@ -91,7 +93,8 @@ class PartsSolver:
             self.body.wanted = needed
         seconds = time.perf_counter() - start
         self._finer_step = None
-        self._finer = self._twice(self.body) if self._given or self.body.n_parts > 1 else None
+        asked = compared and (self._given or self.body.n_parts > 1)
+        self._finer = self._twice(self.body) if asked else None
         return seconds
 
     def doubled(self, solution: Solution) -> bool:
@@ -175,7 +178,7 @@ class PartsSolver:
 
     def _of(self, count: int) -> NonlinearSolver:
         if count not in self._solvers:
-            body = Parts(self._whole, count)
+            body = Parts(self._whole, count, self._cut if count == self._given else None)
             self._solvers[count] = NonlinearSolver(body.problem, body, body.factor)
         return self._solvers[count]
 

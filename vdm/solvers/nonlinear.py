@@ -225,8 +225,13 @@ class NonlinearSolver:
         self._rounding = self._moved_by_rounding(size)
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)), weight=0.0)
         self._rest = _Converged(unloaded, np.zeros((len(self.free), d)), np.zeros(self.body.n_pressures))
-        self._path = [self._rest]  # the last three
+        self._starts = [self._rest]
+        self._path = self._starts  # the last three
         self._largest, self._number = 0.0, -1  # of steps since the body was at rest
+
+    def begin_at(self, load: Load, x: Array, pressure: Array) -> None:
+        """Start histories from a balance that is known, x (n, d) and pressures (m,) [Pa] under a load."""
+        self._starts = [self._rest, _Converged(load, x, pressure)]
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
         """Solution of one load; with a previous step, started where the last three converged ones point to.
@@ -235,7 +240,7 @@ class NonlinearSolver:
         """
         self._number += 1
         if previous is None:
-            self._number, self._path, self._largest = 0, [self._rest], 0.0
+            self._number, self._path, self._largest = 0, self._starts, 0.0
             self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
         last = self._path[-1]
         x, pressure = self._ahead(load)

@@ -1,0 +1,227 @@
+"""The rest shape of a body in parts whose shape under a load is known, by stiffnesses that are given.
+
+The inverse of `vdm.parts.body`: positions y, and with them what acts on the body, are known, and the rest points X
+are not. Part e has the stiffness S of a shape near its rest, and in that shape's frame is away from rest by
+`w = y - X G`, G the rotation that best fits X to y there. Of a change d of X G, what the balance lacks loses
+
+`(1 - W Y^T) S (d - Z theta)`, `theta = V^T d`,
+
+V what turning G follows d by, `Z_k = e_k x X G`, `Y_k = e_k x y`, and W as there. With `tau = Y^T S (d - Z theta)`
+that is S and a border of theta and tau beside the pressure, which keeps the volume. Where S is that of X itself,
+the body at X sags into y.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from solver_common.arrays import Array
+from vdm.constraints import Load
+from vdm.deformed import DeformedSurface, best_rotation
+from vdm.parts.body import BORDER, TURNED, Parts, turned_block
+from vdm.parts.cut import Cut
+from vdm.parts.part import dofs
+from vdm.parts.solve import PartsSolver
+from vdm.peers.bem import moments, turned_back
+from vdm.solution import SolverError, Status
+from vdm.solvers.nonlinear import Balance, DeformedStep, NonlinearSolver
+
+NO_REST_SHAPE = (
+    "no rest shape was found that sags into the scanned one: beyond {:.0f} % of its weight the scan"
+    " cannot be undone"
+)
+REMEDY = "give a stiffer tissue, or leave out gravity.scanned"
+
+
+@dataclass(frozen=True)
+class _Resting:
+    """A rest shape that is tried: nodes of all parts, one after another, are n_p.
+
+    Attributes
+    ----------
+    seen : the balance of the state under the load
+    rest : (n_p,) surfaces of all parts at rest
+    turns : (m, 3, 3) G
+    placed : (n_p, 3) X G about each part's middle
+    filled : (n_p, 3, k) gradient at rest of the volumes of the cavities that a fluid fills
+    """
+
+    seen: Balance
+    rest: DeformedSurface
+    turns: Array
+    placed: Array
+    filled: Array
+
+
+class Unloaded(Parts):
+    """Parts near rest, and their nodes' positions under a load; unknowns x lead from there to the rest shape.
+
+    `rest` is where x is zero: the shape under the load.
+    """
+
+    def __init__(self, parts: Parts, seen: Array) -> None:
+        """`seen` (n, 3) [m], of the parts that give the stiffnesses."""
+        vars(self).update(vars(parts))
+        self._near, self.rest = parts, seen - parts.problem.body.origin
+        self._sag = self.rest - parts.rest
+        self._areas = np.concatenate([part.areas for part in parts.parts])[:, None]
+        state = self._joint.at(self._sag[self._nodes])
+        self.volumes = np.append(state.volumes(self._first_facet), self._cavities(state)[0])
+
+    def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
+        """As in `Large`."""
+        seen = self._near.balance(load, self._sag, pressure)
+        state, turns = seen.parts.state, seen.parts.turns
+        rest = self._joint.at((self._sag + x)[self._nodes])
+        middles = np.add.reduceat(self._areas * rest.positions, self._first)
+        about = rest.positions - middles[self._part]
+        aim = np.einsum("nj,nij->ni", state.positions, turns[self._part])
+        back = best_rotation(moments(self._areas * about, aim, self._first))
+        placed = np.einsum("ni,nij->nj", about, back[self._part])
+        further = self._joint.rest - placed
+        forces = [part.form.swollen_force(further[span]) for part, span in self._each()]
+        lacking = seen.lacking + self._sum @ turned_back(np.concatenate(forces), turns, state, self._first)
+        if self._ground is not None:
+            n_surface = self.problem.formulation.surface.n_nodes
+            springs = self._ground @ (self._sag + x)[:n_surface].reshape(-1)
+            lacking[:n_surface] -= springs.reshape(-1, 3)
+        held, filled = self._cavities(rest)
+        gap = np.append(rest.volumes(self._first_facet), held) / self.volumes - 1.0
+        return Balance(x, pressure, gap, lacking, seen.scale, _Resting(seen, rest, back, placed, filled))
+
+    def correction(
+        self,
+        balance: Balance,
+        lacking: Array,
+        gap: Array,
+        turn: Array,  # noqa: ARG002 - each part has a frame of its own
+    ) -> tuple[Array, Array]:
+        """As in `Large`."""
+        m, k, n, resting = self.n_parts, BORDER, self._n_shared, balance.parts
+        turns = resting.seen.parts.turns
+        size = k * m + self._n_filled
+        kept = np.append(k * np.arange(m), k * m + np.arange(self._n_filled))  # rows of volumes
+        target = np.zeros(size)
+        target[kept] = -gap * self.volumes
+        matrix, corner = self._ground_joining.copy(), np.zeros((size, size))
+        pushes, reads = np.zeros((n, 3, size)), np.zeros((n, 3, size))
+        right, inside = lacking[self._shared], list[Array]()
+        for e, part in enumerate(self.parts):
+            q, g, at = turns[e], resting.turns[e], np.append(k * e + np.arange(k), kept[m:])
+            pushing, reading, own = self._border_of(e, balance)
+            i, c = part.inner, part.shared
+            within = (lacking[part.nodes[i]] @ q.T).reshape(-1, 1)
+            columns = np.hstack([within, pushing[i].reshape(-1, len(at))])
+            answered = np.asarray(part.block.solve(np.asfortranarray(columns)))
+            inside.append(np.zeros((len(within), 1 + size)))
+            inside[-1][:, 0], inside[-1][:, 1 + at] = answered[:, 0], answered[:, 1:]
+            read = reading[i].reshape(-1, len(at))
+            target[at] -= read.T @ answered[:, 0]
+            corner[np.ix_(at, at)] += -read.T @ answered[:, 1:]
+            corner[np.ix_(at[:k], at[:k])] += own
+            if len(part.places):
+                follows, there = part.follows.T, dofs(part.places)
+                matrix[np.ix_(there, there)] += turned_block(part.carried, q, g.T)
+                right[part.places] -= (follows @ within).reshape(-1, 3) @ q
+                pushed = pushing[c] - (follows @ columns[:, 1:]).reshape(-1, 3, len(at))
+                pushes[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", pushed, q)
+                joined = reading[c] - (follows @ read).reshape(-1, 3, len(at))
+                reads[part.places[:, None], :, at] += np.einsum("ncj,dc->njd", joined, g)
+        read, together = (
+            reads.reshape(3 * n, size),
+            np.column_stack([right.reshape(-1), pushes.reshape(3 * n, size)]),
+        )
+        if n:
+            together = linalg.lu_solve(linalg.lu_factor(matrix, check_finite=False), together)
+        system = corner - read.T @ together[:, 1:]
+        push = np.asarray(np.linalg.solve(system, target - read.T @ together[:, 0]), np.float64)
+        weights = np.append(1.0, -push)
+        shared = (together @ weights).reshape(n, 3)
+        change = np.zeros_like(balance.x)
+        change[self._shared] = shared
+        for part, g, answered in zip(self.parts, resting.turns, inside, strict=True):
+            moved = answered @ weights
+            if len(part.places):
+                moved = moved - part.follows @ (shared[part.places] @ g).reshape(-1)
+            change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ g.T
+        return change[self.free], push[kept]
+
+    def _border_of(self, number: int, balance: Balance) -> tuple[Array, Array, Array]:
+        """Of a part in its frame: what pressure, theta, tau, cavities push (n, 3, k), what reads them, (7, 7)."""
+        part, span, resting = self.parts[number], self._spans[number], balance.parts
+        acting, g = resting.seen.parts, resting.turns[number]
+        q = acting.turns[number]
+        y = acting.state.positions[span] @ q.T
+        y = y - part.areas @ y
+        z = resting.placed[span]
+        turned = np.concatenate([(arms @ TURNED).reshape(-1, 3, 3) for arms in (z, y)], axis=2)
+        stressed = part.form.swollen_forces(turned)
+        levers, weighted = part.body.levers, part.areas[:, None] * y
+        follows, turning = (
+            np.einsum("kb,nab->nak", _inverse_inertia(arms.T @ other), (own @ TURNED).reshape(-1, 3, 3))
+            for arms, other, own in ((levers, y, levers), (weighted, z, weighted))
+        )
+        pressed = (acting.state.area_vectors[span] @ q.T)[:, :, None]
+        filled = np.einsum("nck,dc->ndk", acting.filled[span], q)
+        pushing = np.concatenate([pressed, -stressed[:, :, :3], -follows, filled], axis=2)
+        pressed = (resting.rest.area_vectors[span] @ g)[:, :, None]
+        filled = np.einsum("nck,cd->ndk", resting.filled[span], g)
+        reading = np.concatenate([pressed, turning, stressed[:, :, 3:], filled], axis=2)
+        own = np.zeros((BORDER, BORDER))
+        own[1:, 1:] = -np.eye(6)
+        own[4:, 1:4] = -np.einsum("nck,ncl->kl", turned[:, :, 3:], stressed[:, :, :3])
+        if not (part.inner | part.shared).any():  # it is held all over, and its pressure is at rest
+            own[0, 0] = 1.0
+        return pushing, reading, own
+
+    def energy(self, balance: Balance) -> float:
+        return self._near.energy(balance.parts.seen)
+
+    def mean_pressure(self, balance: Balance) -> float:
+        return self._near.mean_pressure(balance.parts.seen)
+
+
+def _inverse_inertia(stretch: Array) -> Array:
+    return np.asarray(np.linalg.inv(np.trace(stretch) * np.eye(3) - stretch))
+
+
+class Unloading:
+    """Leads a body in parts back to rest, from its shape under a load, by stiffnesses of one shape after another.
+
+    Attributes
+    ----------
+    seen : (n, 3) positions of all nodes under the load, those of caps last [m]
+    """
+
+    def __init__(self, solver: PartsSolver, load: Load) -> None:
+        """`solver` of the body as it is seen, which is cut as its load needs."""
+        solver.prepare([load], compared=False)
+        self._load, self._parts, self.seen = load, solver.body.cut.parts, solver.body.cut.points
+        self._solver = NonlinearSolver(solver.problem, Unloaded(solver.body, self.seen), solver.factor)
+        self._step: DeformedStep | None = None
+
+    def cut(self, points: Array) -> Cut:
+        """The same parts at other positions (n, 3)."""
+        return Cut(points, self._parts)
+
+    def rest(self, solver: PartsSolver) -> Array:
+        """(n, 3) points of the rest shape by the stiffnesses of a solver's body, cut as `cut` says [m].
+
+        Raises
+        ------
+        SolverError
+            where no balance is found; it names the share of the load that was undone.
+        """
+        self._solver.body = Unloaded(solver.body, self.seen)
+        step = self._solver.step(self._load, self._step)
+        assert isinstance(step, DeformedStep)
+        if step.balance is None:
+            raise SolverError(Status("no-rest-shape", NO_REST_SHAPE.format(100 * step.reached), REMEDY))
+        self._step = step
+        # from there under its load the body comes back
+        moved = self.seen - solver.body.cut.points
+        solver.solver.begin_at(self._load, moved, step.balance.pressure)
+        return np.asarray(self.seen + step.balance.x)
