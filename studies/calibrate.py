@@ -598,10 +598,6 @@ def as_toml(entries: Sequence[Calibration]) -> str:
 # --- Young's modulus, fitted to a measurement ---
 
 
-class NothingMeasuredError(ValueError):
-    """A study without a measurement to fit."""
-
-
 @dataclass(frozen=True)
 class MeasuredFit:
     """One model's Young's modulus, from the first load that was measured.
@@ -643,7 +639,7 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> MeasuredFit:
 
     Raises
     ------
-    NothingMeasuredError
+    InputError
         nothing was measured.
     """
 
@@ -654,7 +650,7 @@ def fit_modulus(study: Study, mesh: Mesh, name: str) -> MeasuredFit:
         result = Answer.of(models.run_model(scene, name), linear=linear)
         found = hold_against(study, mesh, {name: result})
         if found is None:
-            raise NothingMeasuredError("the study has no [[measured]] table of its case")
+            raise InputError("the study has no [[measured]] table to fit")
         return found
 
     return modulus_of(answer, study.tissue.youngs_modulus, name)

@@ -189,17 +189,14 @@ def _fit_measured(plan: Plan, options: argparse.Namespace) -> int:
     from math import isnan
 
     from ..body.mesh_cache import mesh_from_cache
-    from ..calibrate import NothingMeasuredError, fit_modulus
+    from ..calibrate import fit_modulus
     from ..verdict.formatting import percent, quantity
 
     case = only_case(plan, "--measured fits")
     if not case.study.measured:
         raise InputError("the study has no [[measured]] table to fit")
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
-    try:
-        fits = [fit_modulus(case.study, mesh, name) for name in case.study.study.models]
-    except NothingMeasuredError as error:
-        raise InputError(str(error)) from error
+    fits = [fit_modulus(case.study, mesh, name) for name in case.study.study.models]
     if options.json:
         return print_json([asdict(fit) for fit in fits])
     print_table(

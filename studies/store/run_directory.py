@@ -16,6 +16,7 @@ from typing import Any
 
 from ..machine import json_text, write_atomically
 from ..scene.result import FrameTimes
+from ..study.errors import InputError
 from ..study.kinds import safe_name
 from ..study.schema import Study
 from .plain import StoreError, typed
@@ -83,10 +84,6 @@ def _parsed(kind: type, path: Path) -> dict[str, Any]:
     return found
 
 
-class ForeignDirectoryError(ValueError):
-    """A directory that holds something else than a run."""
-
-
 def case_path(directory: Path, case_hash: str, label: str = "") -> Path:
     """Where a run directory keeps a finished case: the file of this hash, by whatever label it has its name."""
     return _named(directory / "cases", case_hash, label, CASE_SUFFIX)
@@ -116,7 +113,7 @@ def refuse_foreign(directory: Path) -> None:
 
     Raises
     ------
-    ForeignDirectoryError
+    InputError
         it holds something else, which a run could replace.
     """
     if not directory.is_dir():
@@ -125,7 +122,7 @@ def refuse_foreign(directory: Path) -> None:
     rest = {name for name in names if not (name.startswith(".lock") or _is_half_written(name))}
     begun = ".lock" in names and rest <= _BEGUN
     if rest and not begun and not _holds_a_run(directory):
-        raise ForeignDirectoryError(
+        raise InputError(
             f"{directory}: is not empty and not a run directory; choose another --out, or a new one"
         )
 

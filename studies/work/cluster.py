@@ -22,6 +22,7 @@ from typing import Any
 from urllib.parse import urlsplit
 from uuid import uuid4
 
+from ..study.errors import InputError
 from .pool import local_pool, told
 from .worker import Said
 
@@ -29,10 +30,6 @@ INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
 LOOPBACK = "--host 127.0.0.1 --dashboard-address 127.0.0.1:0"  # for whoever starts a part of a cluster
 _POLL = 0.2  # s
 _WITHOUT_WORKERS = 60.0  # s that a scheduler may have no worker when a run begins
-
-
-class AddressError(ValueError):
-    """A scheduler's address that is not one, or not safe."""
 
 
 class ClusterError(OSError):
@@ -101,7 +98,7 @@ def cluster_pool(address: str, directory: Path, memory: int | None, *, insecure:
 
     Raises
     ------
-    AddressError
+    InputError
         not an address, or one of another machine without TLS where that is not asked for by `insecure`.
     ImportError
         Dask is not installed.
@@ -145,16 +142,16 @@ def _require_certificates(security: Any, address: str) -> None:
     try:
         context = security.get_connection_args("client")["ssl_context"]
     except OSError as error:
-        raise AddressError(f"{address}: the certificates of Dask's configuration: {error}") from None
+        raise InputError(f"{address}: the certificates of Dask's configuration: {error}") from None
     if context is None:
-        raise AddressError(
+        raise InputError(
             f"{address}: name certificates in Dask's configuration (distributed.comm.tls.ca-file, "
             "and .client.cert and .client.key there)"
         )
 
 
 def checked_address(address: str, *, insecure: bool) -> str:
-    """The address with its scheme. Raises AddressError."""
+    """The address with its scheme. Raises InputError."""
     full = address if "://" in address else f"tcp://{address}"
     try:
         parts = urlsplit(full)
@@ -162,11 +159,11 @@ def checked_address(address: str, *, insecure: bool) -> str:
     except ValueError:
         host, right = None, False
     if not host or not right or parts.scheme not in ("tcp", "tls"):
-        raise AddressError(
+        raise InputError(
             f"{address!r} is no scheduler's address: write tls://HOST:PORT or tcp://127.0.0.1:PORT"
         )
     if parts.scheme == "tcp" and not insecure and not is_loopback(full):
-        raise AddressError(
+        raise InputError(
             f"{full}: without TLS anyone on the network can run programs in your name; use tls://, "
             "or --insecure-scheduler where you trust the whole network"
         )

@@ -27,7 +27,7 @@ from ..store.run_directory import (
     write_plan,
 )
 from ..study.config import geometry_error, resolved
-from ..study.errors import MeshError
+from ..study.errors import InputError, MeshError
 from ..study.files import text_without_folders, without_folders
 from ..study.units import shown
 from .explain import beyond_memory, summary
@@ -35,11 +35,6 @@ from .plan import Plan, PlannedCase
 from .pool import Pool, local_pool, run_tasks
 from .tasks import Task, bodies, case_payload, tasks_of
 from .worker import Said
-
-
-class RunError(ValueError):
-    """A run that cannot start."""
-
 
 Finish = Callable[[Path], tuple[Run, Path]]
 
@@ -80,10 +75,8 @@ def run_plan(
 
     Raises
     ------
-    RunError
-        another run is at work in the directory, or it holds another study.
-    ForeignDirectoryError
-        the directory holds something else.
+    InputError
+        another run is at work in the directory, or it holds another study or something else.
     StudyError
         a case needs more memory than this machine can have.
     OSError
@@ -143,12 +136,12 @@ def _as_told(plan: Plan, texts: Mapping[str, bytes]) -> Run | None:
 
 
 def _check_study(plan: Plan) -> None:
-    """Raises RunError where the directory holds another study, whose tables and report would be lost."""
+    """Raises InputError where the directory holds another study, whose tables and report would be lost."""
     name = plan.study.study.name
     with suppress(StoreError):  # nothing there, or nothing that can be read
         other = read_plan(plan.directory)["study"]["name"]
         if other != name:
-            raise RunError(
+            raise InputError(
                 f"{plan.directory}: holds the study {shown(other)}, not {shown(name)}; choose another --out"
             )
 
@@ -273,7 +266,7 @@ def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
             if not whole:
                 held.enter_context(lock(directory / f".lock-{shard[0]}-of-{shard[1]}"))
         except LockedError as error:
-            raise RunError(
+            raise InputError(
                 f"{directory}: another run is at work here ({error}); wait for it or choose another --out"
             ) from None
         yield

@@ -24,7 +24,8 @@ import trustme
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_for, write_study
 from tools.documents import ROOT
 from vdmbench.store.cases import read_case
-from vdmbench.work.cluster import LOOPBACK, AddressError, ClusterError, checked_address, cluster_pool, refusal
+from vdmbench.study.errors import InputError
+from vdmbench.work.cluster import LOOPBACK, ClusterError, checked_address, cluster_pool, refusal
 
 from . import processes
 
@@ -202,7 +203,7 @@ def test_nobody_there_and_nobody_to_be_trusted(tmp_path: Path, monkeypatch: pyte
             pytest.raises(ClusterError, match=re.escape(told)),
         ):
             _connect(address, tmp_path)
-    with pytest.raises(AddressError, match="name certificates in Dask's configuration"):
+    with pytest.raises(InputError, match="name certificates in Dask's configuration"):
         _connect("tls://10.0.0.1:8786", tmp_path)
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ImportError, match=r"pip install --constraint constraints\.txt --editable '\.\[dist"):
@@ -225,7 +226,7 @@ def test_addresses_that_are_safe(address: str, full: str) -> None:
 
 @pytest.mark.parametrize("address", ["cluster.example:8786", "tcp://192.168.0.7:8786", "0.0.0.0:8786"])
 def test_other_machines_need_tls_or_a_word(address: str) -> None:
-    with pytest.raises(AddressError, match="without TLS"):
+    with pytest.raises(InputError, match="without TLS"):
         checked_address(address, insecure=False)
     assert checked_address(address, insecure=True).endswith(address)
 
@@ -234,7 +235,7 @@ def test_other_machines_need_tls_or_a_word(address: str) -> None:
     "address", ["", "127.0.0.1", "http://127.0.0.1:80", "inproc://a/b/c", "tcp://127.0.0.1:x", "tcp://[::1:1"]
 )
 def test_what_is_no_address(address: str) -> None:
-    with pytest.raises(AddressError, match="no scheduler's address"):
+    with pytest.raises(InputError, match="no scheduler's address"):
         checked_address(address, insecure=True)
 
 
