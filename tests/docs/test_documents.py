@@ -39,12 +39,13 @@ def test_the_result_table_is_what_the_command_prints_and_a_notebook_reads_it(
     assert documents.NOTEBOOK.read_text() == documents.notebook(), "run `make docs`"
     cells = json.loads(documents.NOTEBOOK.read_text())["cells"]
     notebook = "\n".join(cell["source"] for cell in cells if cell["cell_type"] == "code")
-    (reading,) = re.findall(
+    reading, without_us = re.findall(
         r"```python\n(.*?)```", (documents.ROOT / "results/FORMAT.md").read_text(), re.DOTALL
     )
     code = (
         f"import pyvista\npyvista.OFF_SCREEN = True\n{notebook}\nprint(*error, *ratio, case.n_points)\n"
-        f"{reading}\nprint(*error, *u.shape)"
+        f"{reading}\nprint(*error, *u.shape)\nread = error, u\n"
+        f"{without_us}\nassert (error == read[0]).all()\nassert (u == read[1].reshape(-1, 3)).all()"
     )
     told = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True
