@@ -1,6 +1,6 @@
 """Run time against error: every model on the same meshes, measured in turns inside one process.
 
-In: studies. Out: what every model takes and how far it is off on several mesh sizes, as JSON and as tables.
+In: studies. Out: what every model takes and how far it is off on several mesh sizes, as JSON and as a table.
 
 In a round every model is set up anew and answers the same two loads: pressure on the study's contact region, and
 one over the whole free surface. Rounds are repeated, so that what else the machine does weighs on all models, and
@@ -15,7 +15,6 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -43,10 +42,6 @@ from .work.provenance import provenance
 
 # --- what was measured ---
 
-SAME = 1.5  # times up to which two costs count as the same: runs differ by as much
-CLOSE = 0.1  # error up to which an answer is close
-FAR_OFF = 0.5  # error from which on an answer is no answer: that of a body that does not move is 1
-_DIGITS = 1e-4  # relative difference of errors that are the same answer's
 TIMES = ("setup", "frame_all", "frame_local", "columns", "recut")  # (R,) of an entry [s]
 YARDSTICK = "fem-linear"  # ratios are over its time in the same round
 
@@ -114,98 +109,6 @@ def spread(values: Array) -> tuple[float, float]:
     known = values[np.isfinite(values)]
     first, third = np.quantile(known, (0.25, 0.75)).tolist() if known.size else (math.nan, math.nan)
     return first, third
-
-
-_COSTS: dict[str, Callable[[Entry], float]] = {
-    "frame of a contact": lambda e: median_known(e.frame_local),
-    "frame with all nodes loaded": lambda e: median_known(e.frame_all),
-    "set-up with the contact's columns": lambda e: median_known(e.setup + e.columns),
-    "re-cut": lambda e: median_known(e.recut),
-}
-
-
-def answers(bench: Bench) -> list[dict[str, str]]:
-    """What is fastest, what is most accurate, where a surface model wins: question, and an answer per body.
-
-    On the finest mesh of each body; a model that is far off answers nothing. Of a form with several solvers the
-    plain one answers: others change the time more than the error. What the reference's own error leaves open is
-    named as undecided.
-    """
-    finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
-    asked: dict[str, Callable[[Sequence[Entry]], str]] = {}
-    for what, cost in _COSTS.items():
-        asked[f"Fastest {what} at an error of at most {100 * CLOSE:g} %"] = partial(_fastest, cost=cost)
-    for budget in (1e-3, 1 / 60):  # a frame of haptics and one of graphics
-        asked[f"Most accurate at {seconds(budget)} a frame of a contact"] = partial(
-            _most_accurate, budget=budget
-        )
-    for what, cost in _COSTS.items():
-        asked[f"Surface models whose {what} no elements as close match"] = partial(_unmatched, cost=cost)
-    usable = {}
-    for mesh in finest:
-        measured = {e.model: e for e in bench.on(mesh)}
-        usable[f"{mesh[0]}, {mesh[1]:,} nodes"] = [
-            e
-            for e in measured.values()
-            if e.error < FAR_OFF and (":" not in e.model or e.model.partition(":")[0] not in measured)
-        ]
-    return [
-        {"question": question} | {mesh: answer(entries) for mesh, entries in usable.items()}
-        for question, answer in asked.items()
-    ]
-
-
-def _fastest(entries: Sequence[Entry], *, cost: Callable[[Entry], float]) -> str:
-    """All surely within that take about the same, with the time of the fastest; and as fast ones perhaps within."""
-    timed = sorted((e for e in entries if math.isfinite(cost(e))), key=lambda e: (cost(e), e.model))
-    sure = [e for e in timed if e.error + e.bar <= CLOSE]
-    least = cost(sure[0]) if sure else math.inf
-    alike = [e.model for e in sure if cost(e) <= SAME * least]
-    perhaps = [
-        e.model
-        for e in timed
-        if not (e.error + e.bar <= CLOSE or e.error - e.bar > CLOSE) and cost(e) <= SAME * least
-    ]
-    return _answer([*alike, seconds(least)] if sure else [], perhaps)
-
-
-def _most_accurate(entries: Sequence[Entry], *, budget: float) -> str:
-    """The one of least error and those of the same; undecided where others are closer to it than the bar."""
-    within = [e for e in entries if median_known(e.frame_local) <= budget]
-    if not within:
-        return "none"
-    best = min(within, key=lambda e: e.error)
-    alike = [e.model for e in within if e.error <= (1.0 + _DIGITS) * best.error]
-    near = [e.model for e in within if e.model not in alike and not e.error - best.error >= best.bar]
-    if near:
-        return _answer([], [*alike, *near, f"{error_text(best)} at best"])
-    return _answer([*alike, error_text(best)], [])
-
-
-def _unmatched(entries: Sequence[Entry], *, cost: Callable[[Entry], float]) -> str:
-    """Surface models that no other surface model equals in both error and time, and no element model.
-
-    Undecided where the closest elements of the same time differ by less than the bar.
-    """
-    elements = [e for e in entries if e.model.startswith("fem")]
-    surface = [e for e in entries if not e.model.startswith("fem") and math.isfinite(cost(e))]
-    sure, perhaps = [], []
-    for e in surface:
-        if any(o.error < e.error and cost(o) <= cost(e) for o in surface):
-            continue
-        closest = min((o.error for o in elements if cost(o) <= SAME * cost(e)), default=math.inf)
-        if closest == math.inf or closest - e.error >= e.bar:
-            sure.append(f"{e.model} ({error_text(e)}, {seconds(cost(e))})")
-        elif not closest - e.error <= -e.bar:
-            perhaps.append(e.model)
-    return _answer(sure, perhaps)
-
-
-def _answer(sure: Sequence[str], perhaps: Sequence[str]) -> str:
-    parts = [", ".join(sure)] if sure else []
-    if perhaps:
-        parts.append(f"undecided: {', '.join(perhaps)}")
-    return "; ".join(parts) or "none"
 
 
 def seconds(value: float) -> str:
@@ -444,13 +347,9 @@ def read_bench(path: Path) -> Bench:
         raise ValueError(f"{path}: not a benchmark's file ({error}); run vdmbench bench again") from error
 
 
-# --- what stands beside the tables ---
+# --- what stands below the table ---
 
 ERROR_NOTE = (
     "Every model answers the same contact load on the same mesh. Its error is the relative L2 difference from "
     "linear elements on the refined mesh, ± that reference's own; ~ where this is more than a tenth."
-)
-ANSWERS_NOTE = (
-    "On the finest mesh of each body. Undecided: the reference's own error, ±, leaves open whether an error is "
-    "within the limit, or which of two is the smaller."
 )

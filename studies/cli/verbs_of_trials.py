@@ -54,15 +54,12 @@ def run_benchmark(options: argparse.Namespace) -> int:
         return print_json(
             {
                 "rows": bench.rows(found),
-                "answers": bench.answers(found),
                 "figures": bench.machine_independent(found),
             }
         )
     print(", ".join(f"{name}: {text}" for name, text in list(found.machine.items())[:5]))
     print_table(bench.rows(found))
     print(bench.ERROR_NOTE)
-    print_table(bench.answers(found))
-    print(bench.ANSWERS_NOTE)
     print(f"figures: {out / 'bench.json'}")
     return OK
 
