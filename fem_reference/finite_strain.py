@@ -206,15 +206,29 @@ class FiniteStrainProblem:
             For arrays of the wrong shape or with values that are not finite.
         """
         check_nodal(self.mesh, forces, prescribed)
-        length = self.mesh.mean_edge
+        steps, length = len(forces), self.mesh.mean_edge
         force_unit = self.shear_modulus * length**2
         nothing = np.zeros((len(self.mesh.triangles), len(facet_quadrature()[1])))
-        return self._fields(
-            [
-                ScaledLoad(nothing, force / force_unit, given / length)
-                for force, given in zip(forces, prescribed, strict=True)
-            ]
+        loads = [
+            ScaledLoad(nothing, force / force_unit, given / length)
+            for force, given in zip(forces, prescribed, strict=True)
+        ]
+        fields = Fields(
+            displacement=np.full((steps, self.mesh.n_nodes, 3), np.nan),
+            pressure=np.full((steps, self.mesh.n_pressures), np.nan),
+            reaction=np.full((steps, self.mesh.n_nodes, 3), np.nan),
+            residual=np.full(steps, np.nan),
+            iterations=np.zeros(steps, dtype=np.int64),
         )
+        for number, attempt in self._follow(loads):
+            fields.iterations[number] += len(attempt.residuals) - 1
+            if attempt.converged and attempt.load_factor == 1.0:
+                fields.displacement[number] = attempt.state.displacement * length
+                stress_unit = self.system.pressure_scale * self.shear_modulus
+                fields.pressure[number] = attempt.state.pressure * stress_unit
+                fields.reaction[number] = attempt.reaction * force_unit
+                fields.residual[number] = attempt.residuals[-1]
+        return fields
 
     def sag(self, gravity: ArrayLike, near: Fields | None = None) -> Fields:
         """The nodal fields under the weight alone.
@@ -256,37 +270,6 @@ class FiniteStrainProblem:
             np.array(found.residuals[-1:]),
             np.array([len(found.residuals) - 1]),
         )
-
-    def fields(self, loads: Sequence[Load]) -> Fields:
-        """The nodal fields of a load history; NaN from the first load step on that cannot be reached.
-
-        Raises
-        ------
-        SolverError
-            For a load of the wrong shape or with values that are not finite.
-        """
-        check_loads(self.mesh, loads)
-        return self._fields([self._scaled(load) for load in loads])
-
-    def _fields(self, loads: Sequence[ScaledLoad]) -> Fields:
-        steps, length = len(loads), self.mesh.mean_edge
-        force_unit = self.shear_modulus * length**2
-        fields = Fields(
-            displacement=np.full((steps, self.mesh.n_nodes, 3), np.nan),
-            pressure=np.full((steps, self.mesh.n_pressures), np.nan),
-            reaction=np.full((steps, self.mesh.n_nodes, 3), np.nan),
-            residual=np.full(steps, np.nan),
-            iterations=np.zeros(steps, dtype=np.int64),
-        )
-        for number, attempt in self._follow(loads):
-            fields.iterations[number] += len(attempt.residuals) - 1
-            if attempt.converged and attempt.load_factor == 1.0:
-                fields.displacement[number] = attempt.state.displacement * length
-                stress_unit = self.system.pressure_scale * self.shear_modulus
-                fields.pressure[number] = attempt.state.pressure * stress_unit
-                fields.reaction[number] = attempt.reaction * force_unit
-                fields.residual[number] = attempt.residuals[-1]
-        return fields
 
     def indent(
         self,
