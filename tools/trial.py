@@ -232,8 +232,7 @@ def costs(size: str) -> Iterator[list[str]]:
 
     factors = COSTS["factors"]
     references = [
-        [found for level in (1, 0) if isinstance(found := measured(text(at), model, level), Cost)]
-        for model, at in (("fem-linear", factors[:1]), ("fem", factors[:2]))
+        levels_of(text(at), model) for model, at in (("fem-linear", factors[:1]), ("fem", factors[:2]))
     ]
     for form in COSTS["forms"]:
         found = measured(text(factors), form)
@@ -259,6 +258,16 @@ def write_costs(sizes: Sequence[str]) -> None:
     lines = [line for size in sizes for line in costs(size)]
     lines = sorted(kept(COSTS["all_rows"], COST_HEAD, lines), key=lambda line: int(line[0]))
     show(ROOT / COSTS["document"], COSTS["part"], table(COST_HEAD, lines))
+
+
+def levels_of(text: str, model: str) -> list[Cost]:
+    """A reference on the mesh split once, where eight times the cost is within limits, and on the mesh itself."""
+    own = measured(text, model)
+    if isinstance(own, str):
+        return []
+    fits = 8 * own.whole < COSTS["seconds"] and 8 * own.result.peak_bytes < COSTS["bytes"]
+    split = measured(text, model, 1) if fits else ""
+    return [own] if isinstance(split, str) else [split, own]
 
 
 def error_of(u: np.ndarray, levels: Sequence[Cost], surface: Surface, step: int) -> str:
