@@ -22,7 +22,7 @@ from ..measures import uncertainty
 from ..study.config import case_inputs
 from ..study.kinds import Enters
 from ..study.loads import KINDS
-from ..study.registry import lacks
+from ..study.registry import EXTRA_VERSIONS, lacks
 from ..study.schema import Study, extras_for, extras_of
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
@@ -83,6 +83,7 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
         | _where_there_are(
             condition=study.study.condition,
             homogeneous=sorted(study.study.homogeneous),  # which answer without the inclusions
+            extras=_extra_versions(study),
         )
     )
 
@@ -201,7 +202,12 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
         inclusions=None if name in study.study.homogeneous else inputs.get("inclusions"),
         lacks=lacks(name, extras_for(name, study)),  # a stored refusal ends when the model learns
         condition=study.study.condition,
+        extras=_extra_versions(study),
     )
+
+
+def _extra_versions(study: Study) -> dict[str, str]:
+    return {extra: version for extra, version in EXTRA_VERSIONS.items() if extra in extras_of(study)}
 
 
 def _supports(inputs: Mapping[str, Any]) -> list[dict[str, Any]]:
