@@ -73,7 +73,9 @@ EXTRAS = {  # what a study has that not every model takes -> what is said of one
     "scanned shape": "finds no rest shape for gravity.scanned; take fem or bem:nonlinear",
 }
 SCANNED = "scanned shape"
-EXTRA_VERSIONS = {SCANNED: "2"}  # raised whenever how models do an extra changes their numbers; part of the keys
+EXTRA_VERSIONS = {
+    SCANNED: "2"
+}  # raised whenever how models do an extra changes their numbers; part of the keys
 ENTRY_POINT = "vdmbench.models"
 RENAMED = {"vdm-boundary": "bem", "vdm-sparse": "bem-sparse"}  # model names of earlier versions
 
