@@ -36,6 +36,7 @@ from .section_charts import (
 from .section_measurement import against_measurement, inputs
 from .section_scene import scene
 from .section_tables import (
+    all_measures,
     case_table,
     failures,
     how_to_reproduce,
@@ -68,6 +69,7 @@ AFTER: tuple[Make, ...] = (
     force_against_indentation,
     small_strain_limits,
     run_time_against_error,
+    all_measures,
 )
 APPENDIX: tuple[Make, ...] = (case_table, failures, how_to_reproduce)
 

@@ -1,18 +1,18 @@
-"""Tables: small-strain limits, every case, what failed, and how to reproduce it."""
+"""Tables: small-strain limits, every measure, every case, what failed, and how to reproduce it."""
 
 from __future__ import annotations
 
 import math
 import shlex
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ..measures.case import CaseResult, Limit, ModelLimits
 from ..measures.frame import reference_bar, where_reached
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.registry import Family
-from ..verdict.digest import Digest, failed_steps
+from ..verdict.digest import DRIFT, Digest, failed_steps
 from ..verdict.formatting import (
     NOTHING,
     first_of,
@@ -25,7 +25,7 @@ from ..verdict.formatting import (
 )
 from ..verdict.verdict import Verdict, verdicts
 from ..verdict.words import TITLES
-from .blocks import Block, Cell, Code, Facts, Field, Section, Text, bar_detail, frame_table, note
+from .blocks import Block, Cell, Code, Facts, Field, Section, Text, bar_detail, frame_table, note, spread_cell
 
 _WHY = {
     "unresolved": "unresolved: a finer mesh does not bear it out",
@@ -99,6 +99,36 @@ def _load(limit: Limit, unit: str) -> Cell:
         return Cell(text, bar_detail(1.0, limit.bar), limit.load)
     prefix = {"beyond": "≥ ", "unresolved": ""}.get(limit.state, "to ")
     return Cell(f"{prefix}{text}", _WHY[limit.state], limit.load, tone="muted")
+
+
+def all_measures(digest: Digest) -> Section | None:
+    """Every metric of every compared model at full load, defined, and what the reference has of its own."""
+    found = {
+        name: entry
+        for case in digest.cases
+        for model in digest.compared
+        for name, entry in case.metrics.get(model, {}).items()
+    }
+    rows = [name for name in found if name != DRIFT and any(digest.spread(m, name) for m in digest.models)]
+    if not rows:
+        return None
+
+    def of(model: str) -> Any:
+        return lambda name: spread_cell(digest.spread(model, name), found[name].unit)
+
+    fields = [
+        Field("Measure", lambda name: Cell(_measure_name(name), found[name].definition)),
+        *(Field(model, of(model), "#", "median") for model in digest.compared),
+        Field(str(digest.reference), of(str(digest.reference)), "#", "reference"),
+    ]
+    table = frame_table(rows, fields, "measures")
+    return Section("measures", "All measures at full load", [note("measures"), table])
+
+
+def _measure_name(metric: str) -> str:
+    """A metric's name as words."""
+    words = metric.replace("relative_l2_", "").replace("p95_", "95 % ").replace("_", " ")
+    return words[:1].upper() + words[1:]
 
 
 _OPEN_ROWS = 12
