@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from solver_common.arrays import Index
+from solver_common.arrays import Array, Index
 from vdm.constraints import Load
 from vdm.material import MOST_PARTS
 from vdm.parts.body import Parts, parts_wanted, pieces_of
@@ -44,6 +44,7 @@ class PartsSolver:
         self._finer: NonlinearSolver | None = None
         self._finer_step: Step | None = None
         self._solver: NonlinearSolver | None = None
+        self._known: tuple[Load, Array, float] | None = None
 
     @property
     def solver(self) -> NonlinearSolver:
@@ -95,7 +96,19 @@ class PartsSolver:
         self._finer_step = None
         asked = compared and (self._given or self.body.n_parts > 1)
         self._finer = self._twice(self.body) if asked else None
+        if self._finer is not None and self._known is not None:
+            (known, x, pressure), finer = self._known, _parts(self._finer)
+            self._finer.begin_near(known, _inside(finer.rest, x), np.full(finer.n_pressures, pressure))
+            self._known = None
         return seconds
+
+    def begin_at(self, load: Load, x: Array, pressure: Array) -> None:
+        """As in `NonlinearSolver`, of its body; when it is prepared next, twice the parts begin near that too.
+
+        Their way from rest to a load that strains them far is long.
+        """
+        self.solver.begin_at(load, x, pressure)
+        self._known = load, x[: self._whole.formulation.surface.n_nodes], float(pressure.mean())
 
     def doubled(self, solution: Solution) -> bool:
         """Whether the body has twice the parts from now on, as its answers to the loads ask for.
@@ -135,7 +148,7 @@ class PartsSolver:
     def scalars(self, load: Load, step: Step) -> dict[str, float]:
         """What is told of a step beside its displacement: see `Parts.scalars`, and `parts_error`.
 
-        That is the distance to the answer of twice the parts, over its size, by area; NaN where there is none.
+        That is the distance to the answer of twice the parts, over its size, by area; NaN where that was not found.
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return {}
@@ -147,7 +160,7 @@ class PartsSolver:
         other = self._finer_step.displacement
         size = float(np.sqrt((area * other**2).sum()))
         apart = float(np.sqrt((area * (other - step.displacement) ** 2).sum()))
-        return {**found, "parts_error": apart / size if size > 0.0 else 0.0}
+        return {**found, "parts_error": 0.0 if size == 0.0 else apart / size}
 
     def _largest(self, loads: Sequence[Load]) -> Load:
         def size(load: Load) -> float:
@@ -186,6 +199,14 @@ class PartsSolver:
 def _parts(solver: NonlinearSolver) -> Parts:
     assert isinstance(solver.body, Parts)
     return solver.body
+
+
+def _inside(rest: Array, x: Array) -> Array:
+    """(n, 3) displacement of all nodes, at rest (n, 3), by that of the first (N, 3): a biharmonic spline."""
+    from scipy.interpolate import RBFInterpolator  # slow to load, and only scans need it
+
+    n = len(x)
+    return np.vstack([x, RBFInterpolator(rest[:n], x, kernel="linear")(rest[n:])])
 
 
 def _guess(problem: Problem) -> LinearSolver | None:

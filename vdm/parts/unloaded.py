@@ -223,5 +223,5 @@ class Unloading:
         self._step = step
         # from there under its load the body comes back
         moved = self.seen - solver.body.cut.points
-        solver.solver.begin_at(self._load, moved, step.balance.pressure)
+        solver.begin_at(self._load, moved, step.balance.pressure)
         return np.asarray(self.seen + step.balance.x)

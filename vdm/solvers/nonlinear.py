@@ -227,11 +227,17 @@ class NonlinearSolver:
         self._rest = _Converged(unloaded, np.zeros((len(self.free), d)), np.zeros(self.body.n_pressures))
         self._starts = [self._rest]
         self._path = self._starts  # the last three
-        self._largest, self._number = 0.0, -1  # of steps since the body was at rest
+        self._largest, self._number = 0.0, 0  # of steps since the body was at rest
 
     def begin_at(self, load: Load, x: Array, pressure: Array) -> None:
         """Start histories from a balance that is known, x (n, d) and pressures (m,) [Pa] under a load."""
         self._starts = [self._rest, _Converged(load, x, pressure)]
+
+    def begin_near(self, load: Load, x: Array, pressure: Array) -> None:
+        """Start histories from the balance under a load that is found from a state near it, if one is."""
+        found, _ = self._solve(load, x, pressure, (0.0, 1.0))
+        if found is not None:
+            self.begin_at(load, found.x, found.pressure)
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
         """Solution of one load; with a previous step, started where the last three converged ones point to.
