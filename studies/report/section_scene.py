@@ -211,8 +211,11 @@ def _parts_words(case: CaseResult, name: str) -> str:
     told = f"{name}: {plural(count, 'part')}, turned by {turns}, strained by up to {short_percent(strain)} within"
     if strain > MOST_STRAIN:
         told += " (a part follows small strain)"
-    bar = float(found.get("parts_error", math.nan))
-    return told + (f"; twice as many change the answer by {short_percent(bar)}" if math.isfinite(bar) else "")
+    if (bar := found.get("parts_error")) is None:
+        return told
+    if math.isnan(bar):
+        return f"{told}; twice as many find no balance, so what they would change is not known"
+    return f"{told}; twice as many change the answer by {short_percent(bar)}"
 
 
 def _inclusion_words(number: int, entry: Inclusion, case: CaseResult, cases: Sequence[CaseResult]) -> str:

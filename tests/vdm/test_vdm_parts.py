@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -231,6 +234,23 @@ def test_parts_are_doubled_as_the_answers_ask_for(monkeypatch: pytest.MonkeyPatc
     assert found.status[0].ok
     assert found.scalars["parts"][0] > 1
     assert found.scalars["parts_error"][0] < 0.1
+
+
+def test_a_bar_is_not_known_where_twice_the_parts_find_no_balance(monkeypatch: pytest.MonkeyPatch) -> None:
+    body = box(counts=(16, 3, 3), size=(LENGTH, SIDE, SIDE))
+    model = clamped(body, parts=2)
+    load = at_tip(body[0], np.array([0.0, 0.0, -0.1 * E * SIDE**4 / 12.0 / LENGTH**2]))
+    assert 0.0 < model.solve([load]).scalars["parts_error"][0] < 0.1
+    step = NonlinearSolver.step
+
+    def lost(self: NonlinearSolver, load: Load, previous: Any = None) -> Any:
+        found = step(self, load, previous)
+        return found if self is model.solver.solver else replace(found, unknown=np.nan * found.unknown)
+
+    monkeypatch.setattr(NonlinearSolver, "step", lost)
+    answered = model.solve([load])
+    assert answered.status[0].ok
+    assert np.isnan(answered.scalars["parts_error"]).all()
 
 
 def test_what_the_parts_do_not_follow_is_told() -> None:
