@@ -31,7 +31,7 @@ _FAILURES = {
     "linear-solver": "the tangent system could not be solved, as where a body buckles",
 }
 _REMEDY = "load the body less, or use a finer mesh where it deforms most"
-_SOFTER = "load the body less, or bear more of its surface on soft springs (`elastic`)"
+_SOFTER = 'load the body less, or bear more of its surface on soft springs (`elastic`, `direction = "full"`)'
 _SNAPS = "load the body less, or give a displacement in place of the load"
 _NO_STIFFNESS = 0.2  # of that at rest: steps of a 256th end within the root of that of a limit point
 _TOO_SMALL = Status(
