@@ -217,8 +217,10 @@ def measured(text: str, form: str, level: int = 0) -> Cost | str:
             found = pool.submit(cost, text, form, level).result()
         except TimeoutError as error:
             return f"{error}"
-        except (MemoryError, BrokenProcessPool):
+        except MemoryError:
             return f"more than {COSTS['bytes'] / 1e9:.0f} GB"
+        except BrokenProcessPool:
+            return "its process was killed"
     status = found.result.status[0]
     return found if status.ok else status.message
 
