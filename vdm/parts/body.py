@@ -248,6 +248,12 @@ class Parts:
         """Parts, and where their nodes are among those of all."""
         return zip(self.parts, self._spans, strict=True)
 
+    @property
+    def _rows_of_volumes(self) -> Index:
+        """(m + c,) rows of the system of all borders that keep the volumes of parts, then of c filled cavities."""
+        rows = BORDER * self.n_parts
+        return np.append(np.arange(0, rows, BORDER), rows + np.arange(self._n_filled))
+
     def _cavities(self, state: DeformedSurface) -> tuple[Array, Array]:
         """Volumes (k,) of the filled cavities, and their gradient (n_p, 3, k) at the nodes of all parts.
 
@@ -269,9 +275,9 @@ class Parts:
         turn: Array,  # noqa: ARG002 - each part has a frame of its own
     ) -> tuple[Array, Array]:
         """As in `Large`."""
-        m, k, acting = self.n_parts, BORDER, balance.parts
+        acting = balance.parts
         slope = self._slope_for(balance, lacking, gap)
-        kept = np.append(k * np.arange(m), k * m + np.arange(self._n_filled))  # rows of volumes
+        kept = self._rows_of_volumes
         target = np.zeros(len(slope.system))
         target[kept] = -gap * self.volumes
         right, inside = -lacking[self._shared], list[Array]()
@@ -366,8 +372,6 @@ class Parts:
         y = acting.state.positions[span] @ q.T
         away = y - part.body.rest
         y = y - part.areas @ y
-        stretch = levers.T @ y
-        inertia = np.trace(stretch) * np.eye(3) - stretch
         turned = (y @ TURNED).reshape(-1, 3, 3)
         stressed = part.form.swollen_forces(np.concatenate([away[:, :, None], turned], axis=2))
         vectors = acting.state.area_vectors[span] @ q.T
@@ -381,7 +385,7 @@ class Parts:
         inverse = np.zeros((6, 6))
         inverse[:3, 3:] = inverse[3:, :3] = np.eye(3)
         inverse[3:, 3:] = 0.5 * (met + met.T)
-        follows = np.einsum("kb,nab->nak", np.linalg.inv(inertia), (levers @ TURNED).reshape(-1, 3, 3))
+        follows = np.einsum("kb,nab->nak", inverse_inertia(levers.T @ y), (levers @ TURNED).reshape(-1, 3, 3))
         return np.concatenate([follows, slope], axis=2), inverse
 
     def _joined_at(self, turns: Array) -> Array:
@@ -459,6 +463,11 @@ class Parts:
 def _angles(traces: Array) -> Array:
     """Of rotations by their traces [rad]."""
     return np.asarray(np.arccos(np.clip((traces - 1.0) / 2.0, -1.0, 1.0)))
+
+
+def inverse_inertia(stretch: Array) -> Array:
+    """(3, 3) by what couples arms turn a part, from the sum (3, 3) of the products of its arms and positions."""
+    return np.asarray(np.linalg.inv(np.trace(stretch) * np.eye(3) - stretch))
 
 
 def turned_block(matrix: Array, q: Array, p: Array) -> Array:

@@ -21,7 +21,7 @@ from scipy import linalg
 from solver_common.arrays import Array
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, best_rotation
-from vdm.parts.body import BORDER, TURNED, Parts, turned_block
+from vdm.parts.body import BORDER, TURNED, Parts, inverse_inertia, turned_block
 from vdm.parts.cut import Cut
 from vdm.parts.part import dofs
 from vdm.parts.solve import PartsSolver
@@ -103,7 +103,7 @@ class Unloaded(Parts):
         m, k, n, resting = self.n_parts, BORDER, self._n_shared, balance.parts
         turns = resting.seen.parts.turns
         size = k * m + self._n_filled
-        kept = np.append(k * np.arange(m), k * m + np.arange(self._n_filled))  # rows of volumes
+        kept = self._rows_of_volumes
         target = np.zeros(size)
         target[kept] = -gap * self.volumes
         matrix, corner = self._ground_joining.copy(), np.zeros((size, size))
@@ -161,7 +161,7 @@ class Unloaded(Parts):
         stressed = part.form.swollen_forces(turned)
         levers, weighted = part.body.levers, part.areas[:, None] * y
         follows, turning = (
-            np.einsum("kb,nab->nak", _inverse_inertia(arms.T @ other), (own @ TURNED).reshape(-1, 3, 3))
+            np.einsum("kb,nab->nak", inverse_inertia(arms.T @ other), (own @ TURNED).reshape(-1, 3, 3))
             for arms, other, own in ((levers, y, levers), (weighted, z, weighted))
         )
         pressed = (acting.state.area_vectors[span] @ q.T)[:, :, None]
@@ -182,10 +182,6 @@ class Unloaded(Parts):
 
     def mean_pressure(self, balance: Balance) -> float:
         return self._near.mean_pressure(balance.parts.seen)
-
-
-def _inverse_inertia(stretch: Array) -> Array:
-    return np.asarray(np.linalg.inv(np.trace(stretch) * np.eye(3) - stretch))
 
 
 class Unloading:
