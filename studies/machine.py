@@ -67,7 +67,7 @@ def plain(value: Any, without: Container[str] = ()) -> Any:
         names = (field.name for field in dataclasses.fields(value) if field.name not in without)
         return {name: plain(getattr(value, name)) for name in names}
     if hasattr(value, "model_dump"):  # of pydantic, not loaded for this
-        return value.model_dump(mode="json", by_alias=True, exclude_none=True)
+        return value.model_dump(mode="json", exclude_none=True)
     return plain(value.tolist()) if hasattr(value, "tolist") else value  # of NumPy, likewise
 
 

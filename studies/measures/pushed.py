@@ -72,7 +72,7 @@ class Pushed:
         """The constraint of a name on a mesh."""
         constraint = next(part for part in study.constraints if part.name == name)
         surface = Surface(mesh.surface_points, mesh.triangles)
-        mask = select(constraint.region, of_study(mesh, study), study.regions)
+        mask = select(study.regions[constraint.region], of_study(mesh, study))
         return cls(study, constraint, mask, surface, np.array(study.load.history))
 
     def curve(self, answer: Answer) -> tuple[Array, Array]:

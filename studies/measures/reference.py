@@ -113,7 +113,7 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
     """
     coarsest = of_study(hierarchy.meshes[0], study)
     lines = {part.region for part in study.constraints if part.kind == "line"}
-    regions = {name: select(region, coarsest, study.regions) for name, region in study.regions.items()}
+    regions = {name: select(region, coarsest) for name, region in study.regions.items()}
     masks = {
         name: hierarchy.inherit_line(mask) if name in lines else hierarchy.inherit(mask)
         for name, mask in regions.items()

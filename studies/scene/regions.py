@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from solver_common.arrays import Array, Mask
 
 from ..body.mesh import Mesh
 from ..study.errors import MeshError
-from ..study.schema import HalfSpace, Region, Study
+from ..study.schema import Ball, Cap, HalfSpace, Region, Study
 
 AXES = {"x": 0, "y": 1, "z": 2}
 _TOLERANCE = 1e-9  # of the body's size: nodes on the border of a region belong to it
@@ -21,60 +19,46 @@ def of_study(mesh: Mesh, study: Study) -> Mesh:
     return mesh.about_centre if study.geometry.coordinates == "centred" else mesh
 
 
-def select(region: Region | str, mesh: Mesh, named: Mapping[str, Region]) -> Mask:
-    """(N,) mask of the surface nodes in a region, which may be the name of one of the study's.
+def select(region: Region, mesh: Mesh) -> Mask:
+    """(N,) mask of the surface nodes for which all keys of a region hold.
 
     Raises
     ------
     MeshError
         the mesh has no group of the wanted name.
     """
-    if isinstance(region, str):
-        return select(named[region], mesh, named)
-    found = _selected(region, mesh, named)
-    if region.all_of is None and region.any_of is None and region.group is None:
-        found = found & (mesh.in_cavity if region.cavity else ~mesh.in_cavity)
-    return found
-
-
-def _selected(region: Region, mesh: Mesh, named: Mapping[str, Region]) -> Mask:
-    """The same on all of the surface."""
+    points = mesh.surface_points
+    found = np.ones(len(points), dtype=bool)
+    if region.cavity is not None or region.group is None:
+        found &= mesh.in_cavity if region.cavity else ~mesh.in_cavity
     if region.below is not None:
-        return _beyond(region.below, mesh, sign=-1.0)
+        found &= _beyond(region.below, mesh, sign=-1.0)
     if region.above is not None:
-        return _beyond(region.above, mesh, sign=1.0)
+        found &= _beyond(region.above, mesh, sign=1.0)
     if region.box is not None:
-        points, margin = mesh.surface_points, _margin(mesh)
-        low, high = np.array(region.box.min), np.array(region.box.max)
-        return np.all((points >= low - margin) & (points <= high + margin), axis=1)
+        low, high = np.array(region.box.min) - _margin(mesh), np.array(region.box.max) + _margin(mesh)
+        found &= np.all((points >= low) & (points <= high), axis=1)
     if region.group is not None:
         if region.group not in mesh.groups:
             known = ", ".join(sorted(mesh.groups)) or "none"
             raise MeshError(f"the mesh has no group {region.group!r}; it has: {known}")
-        return mesh.groups[region.group]
-    if region.all_of is not None:
-        return np.logical_and.reduce([select(part, mesh, named) for part in region.all_of])
-    if region.any_of is not None:
-        return np.logical_or.reduce([select(part, mesh, named) for part in region.any_of])
-    if region.not_of is not None:
-        return ~select(region.not_of, mesh, named)
-    if region.ball is None and region.cap is None:  # the walls of cavities, or the outer surface, whole
-        return np.ones(len(mesh.surface_nodes), dtype=bool)
-    return profile_coordinate(region, mesh, mesh.surface_points) <= 1 + _TOLERANCE
+        found &= mesh.groups[region.group]
+    if region.ball is not None:
+        found &= _from_ball(region.ball, points) <= 1 + _TOLERANCE
+    if region.cap is not None:
+        found &= _from_cap(region.cap, mesh, points) <= 1 + _TOLERANCE
+    return found
 
 
 def lies_outside(region: Region, low: Array, high: Array) -> bool:
-    """Whether a half-space, box or ball does not meet the body's bounding box, (3,) and (3,); of others False."""
-    if region.below is not None and region.below.value is not None:
-        return bool(region.below.value < low[AXES[region.below.axis]])
-    if region.above is not None and region.above.value is not None:
-        return bool(region.above.value > high[AXES[region.above.axis]])
-    if region.box is not None:
-        return bool(np.any(np.array(region.box.min) > high) or np.any(np.array(region.box.max) < low))
-    if region.ball is not None:
-        center = np.array(region.ball.center)
-        return bool(np.linalg.norm(center - np.clip(center, low, high)) > region.ball.radius)
-    return False
+    """Whether a half-space, box or ball of a region does not meet the body's bounding box, (3,) and (3,)."""
+    below, above, box, ball = region.below, region.above, region.box, region.ball
+    return bool(
+        (below and below.value is not None and below.value < low[AXES[below.axis]])
+        or (above and above.value is not None and above.value > high[AXES[above.axis]])
+        or (box and (np.any(np.array(box.min) > high) or np.any(np.array(box.max) < low)))
+        or (ball and _from_ball(ball, np.clip(ball.center, low, high)) > 1.0)
+    )
 
 
 def body_extent(low: Array, high: Array) -> str:
@@ -107,14 +91,24 @@ def profile_coordinate(region: Region, mesh: Mesh, points: Array) -> Array:
         another kind of region, which has no middle.
     """
     if region.ball is not None:
-        return _length(points - np.array(region.ball.center)) / region.ball.radius
-    if region.cap is None:
-        raise MeshError("only a cap or a ball has a middle; give the contact such a region")
+        return _from_ball(region.ball, points)
+    if region.cap is not None:
+        return _from_cap(region.cap, mesh, points)
+    raise MeshError("only a cap or a ball has a middle; give the contact such a region")
+
+
+def _from_ball(ball: Ball, points: Array) -> Array:
+    """Distance (...,) of points (..., 3) from the centre over the radius."""
+    return _length(points - np.array(ball.center)) / ball.radius
+
+
+def _from_cap(cap: Cap, mesh: Mesh, points: Array) -> Array:
+    """Angle (...,) between points (..., 3) and the axis, seen from the body's centroid, over the cap's."""
     offset = points - _centroid(mesh)
-    direction = np.array(region.cap.direction) / np.linalg.norm(region.cap.direction)
+    direction = np.array(cap.direction) / np.linalg.norm(cap.direction)
     along = offset @ direction
     across = _length(offset - along[..., None] * direction)
-    return np.arctan2(across, along) / region.cap.angle
+    return np.arctan2(across, along) / cap.angle
 
 
 def profile_slope(region: Region, mesh: Mesh, points: Array) -> Array:

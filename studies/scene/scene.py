@@ -209,7 +209,7 @@ def build_scene(
     """
     mesh, regions = of_study(mesh, study), study.regions
     if masks is None:
-        masks = {name: select(region, mesh, regions) for name, region in regions.items()}
+        masks = {name: select(region, mesh) for name, region in regions.items()}
     acting = []
     for number, constraint in enumerate(study.constraints):
         place, name = ("constraints", number), constraint.region

@@ -284,19 +284,21 @@ def _check_acceptance(study: Study) -> Iterator[Finding]:
 # --- regions and inclusions ---
 
 
-_ONE_OF = "below, above, ball, box, cap, group, all, any, not, cavity"
-
-
 def _check_regions(study: Study) -> Iterator[Finding]:
-    regions = study.regions
-    for name, region in regions.items():
-        for loc, part in _inside(region, ("regions", name)):
-            yield from _check_region(part, loc, regions)
-            if part.group is not None and not _has_groups(study.geometry):
-                text = "only a MSH file has named groups of nodes; say where the region is instead"
-                yield (*loc, "group"), text
-        if name in _reached(name, regions):
-            yield ("regions", name), "refers to itself, directly or through other regions"
+    for name, region in study.regions.items():
+        loc: Loc = ("regions", name)
+        if not given(region):
+            yield (
+                loc,
+                f"selects nothing; give {', '.join(Region.keys())}, or several, all of which are to hold",
+            )
+        for key, half_space in (("below", region.below), ("above", region.above)):
+            if half_space is not None and (half_space.fraction is None) == (half_space.value is None):
+                yield (*loc, key), "give either fraction or value"
+        yield from _check_box(region.box, (*loc, "box"))
+        if region.group is not None and not _has_groups(study.geometry):
+            text = "only a MSH file has named groups of nodes; say where the region is instead"
+            yield (*loc, "group"), text
     yield from _check_coordinates(study)
 
 
@@ -313,8 +315,7 @@ def _check_coordinates(study: Study) -> Iterator[Finding]:
         return
     names = [
         f"region {shown(name)}"
-        for name, region in study.regions.items()
-        for _, part in _inside(region, ())
+        for name, part in study.regions.items()
         if part.ball
         or part.box
         or any(plane and plane.value is not None for plane in (part.below, part.above))
@@ -328,54 +329,6 @@ def _check_coordinates(study: Study) -> Iterator[Finding]:
             'file, in metres, or "centred" where they are from the middle of its bounding box, as they were '
             "before version 0.2",
         )
-
-
-def _inside(region: Region, loc: Loc) -> Iterator[tuple[Loc, Region]]:
-    """A region and the tables inside it, each with its place."""
-    yield loc, region
-    for part_loc, part in _parts(region):
-        if isinstance(part, Region):
-            yield from _inside(part, (*loc, *part_loc))
-
-
-def _check_region(region: Region, loc: Loc, regions: dict[str, Region]) -> Iterator[Finding]:
-    present = given(region)
-    if region.cavity is not None:
-        present = present - {"cavity"} or {"cavity"}
-        if combined := present & {"all", "any", "group"}:
-            yield (*loc, "cavity"), f"goes into the regions of {listed(combined)}, not beside it"
-    if len(present) != 1:
-        have = f", not {listed(present)}" if present else ""
-        yield loc, f"give exactly one of {_ONE_OF}{have}"
-    for key, half_space in (("below", region.below), ("above", region.above)):
-        if half_space is not None and (half_space.fraction is None) == (half_space.value is None):
-            yield (*loc, key), "give either fraction or value"
-    yield from _check_box(region.box, (*loc, "box"))
-    for part_loc, part in _parts(region):
-        if isinstance(part, str) and part not in regions:
-            yield (*loc, *part_loc), unknown(part, list(regions), "region")
-
-
-def _parts(region: Region) -> Iterator[tuple[Loc, Region | str]]:
-    """The regions that a region is made of, each with its place inside."""
-    for key, parts in (("all", region.all_of), ("any", region.any_of)):
-        yield from (((key, place), part) for place, part in enumerate(parts or ()))
-    if region.not_of is not None:
-        yield ("not",), region.not_of
-
-
-def _reached(name: str, regions: dict[str, Region]) -> set[str]:
-    """The names that a region refers to, directly or through others."""
-    reached: set[str] = set()
-    todo: list[Region] = [regions[name]]
-    while todo:
-        for _, part in _parts(todo.pop()):
-            if isinstance(part, Region):
-                todo.append(part)
-            elif part in regions and part not in reached:
-                reached.add(part)
-                todo.append(regions[part])
-    return reached
 
 
 def _check_inclusions(study: Study) -> Iterator[Finding]:

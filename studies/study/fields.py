@@ -113,10 +113,7 @@ def _schema(of_model: type[VdmTable]) -> Node:
 
 
 def _followed(node: Node) -> Node:
-    """A node, or what it refers to with the words of its own; of a name or a table, the table."""
-    for option in node.get("oneOf", []):
-        if "$ref" in option:
-            node = {**option, **{key: value for key, value in node.items() if key != "oneOf"}}
+    """A node, or what it refers to with the words of its own."""
     if "$ref" not in node:
         return node
     own = {key: value for key, value in node.items() if key != "$ref"}
@@ -236,9 +233,7 @@ def _rows(table: Node, prefix: str) -> Iterator[FieldRow]:
         return
     for name, field in table["properties"].items():
         node, items = _followed(field), _items(_followed(field))
-        if "oneOf" in field or "oneOf" in field.get("items", {}):  # regions in a region
-            items = None
-        elif "properties" in node:
+        if "properties" in node:
             yield from _rows(node, f"{prefix}{name}.")
             continue
         if items is not None:
@@ -283,16 +278,12 @@ def _kind(node: Node) -> str:
     """A node's type in words, with its unit."""
     if unit := node.get("unit"):
         return DIMENSIONS[unit][0].split(" ", 1)[1] + f" [{unit}]" if unit != "1" else "number"
-    if "oneOf" in node:
-        return "region"
     if "enum" in node:
         return " | ".join(node["enum"])
     kind = node.get("type", "text" if "anyOf" in node else "")
     if kind != "array":
         return {"boolean": "true or false", "integer": "whole number", "": "as of KEY"}.get(kind, "text")
     items = node["items"]
-    if "oneOf" in items:
-        return "list of regions"
     if "unit" in items:
         size = f" of {node['maxItems']}" if "maxItems" in node else ""
         return f"list{size}: {_kind(items)}"

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Decimal
 from enum import Enum
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeGuard, get_args
 
@@ -213,7 +212,6 @@ class Table(BaseModel):
         frozen=True,
         hide_input_in_errors=True,
         defer_build=True,
-        serialize_by_alias=True,
     )
     enters: ClassVar[Enters | None] = None  # of the fields that have no mark of their own
 
@@ -242,8 +240,8 @@ class Table(BaseModel):
 
     @classmethod
     def keys(cls) -> dict[str, FieldInfo]:
-        """The fields by the keys that a file uses."""
-        return {field.alias or name: field for name, field in cls.model_fields.items()}
+        """The fields by their key."""
+        return cls.model_fields
 
     @classmethod
     def unknown_key(cls, key: str) -> str:
@@ -257,7 +255,7 @@ class Table(BaseModel):
 
     @classmethod
     def _fault(cls, details: ErrorDetails) -> InitErrorDetails:
-        loc = tuple(part for part in details["loc"] if part not in ("<name>", "<table>", "[key]"))
+        loc = tuple(part for part in details["loc"] if part != "[key]")
         told = PydanticCustomError("told", "{text}", {"text": cls._sentence(loc, details)})
         return InitErrorDetails(type=told, loc=loc, input=None)
 
@@ -283,26 +281,19 @@ class Table(BaseModel):
 
     def without(self, data: dict[str, Any], *marks: Enters) -> dict[str, Any]:
         """Of this table's `data` what does not bear one of these marks, two levels deep; unknown keys stay."""
-        fields = _by_key(type(self))
         kept: dict[str, Any] = {}
         for key, value in data.items():
-            name, field = fields.get(key, (key, None))
+            field = self.keys().get(key)
             if field is not None and (Enters.of(field) or self.enters) in marks:
                 continue
-            table = getattr(self, name) if field is not None else None
+            table = getattr(self, key) if field is not None else None
             kept[key] = table.without(value, *marks) if isinstance(table, Table) else value
         return kept
 
 
-@cache
-def _by_key(table: type[Table]) -> dict[str, tuple[str, FieldInfo]]:
-    """Key in a file -> name and field of a table."""
-    return {field.alias or name: (name, field) for name, field in table.model_fields.items()}
-
-
 def given(table: Table) -> set[str]:
     """The keys that the file has, or that follow from others, as written there."""
-    return {type(table).model_fields[name].alias or name for name in table.model_fields_set if name[0] != "_"}
+    return {name for name in table.model_fields_set if name[0] != "_"}
 
 
 class OneOf(Table):

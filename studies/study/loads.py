@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from .errors import Loc
+from .errors import Loc, listed
 from .kinds import (
     SI,
     Direction,
@@ -238,9 +238,9 @@ class Contact(Constraint):
             yield (), "has both pressure and force; keep one"
         if self.pressure is None and self.force is None:
             yield (), "a contact needs either pressure or force"
-        if self.profile in PROFILES and region and not region & {"cap", "ball"}:
-            told = f"a {self.profile} profile needs a region that is a cap or a ball"
-            yield ("profile",), f'{told}, and "{self.region}" is neither'
+        if self.profile in PROFILES and region and region - {"cavity"} not in ({"cap"}, {"ball"}):
+            told = f"a {self.profile} profile needs a region that is a cap or a ball and no more"
+            yield ("profile",), f'{told}, and "{self.region}" has {listed(set(region))}'
 
 
 class Constrained(Constraint):

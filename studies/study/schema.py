@@ -15,11 +15,9 @@ from typing import Annotated, Any, Literal
 from pydantic import (
     AfterValidator,
     ConfigDict,
-    Discriminator,
     Field,
     PrivateAttr,
     SerializeAsAny,
-    Tag,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
@@ -298,7 +296,7 @@ class Cap(Table):
 
 
 class Region(Table):
-    """[regions.NAME]: exactly one of the keys"""
+    """[regions.NAME]: the nodes for which all of its keys hold"""
 
     below: HalfSpace | None = Field(None, description="nodes below a plane")
     above: HalfSpace | None = Field(None, description="nodes above a plane")
@@ -306,23 +304,10 @@ class Region(Table):
     box: Box | None = Field(None, description="nodes in a box")
     cap: Cap | None = Field(None, description="nodes in a cone from the centroid")
     group: str | None = Field(None, description="nodes of a named group of the mesh file", min_length=1)
-    all_of: tuple[RegionRef, ...] | None = Field(
-        None, alias="all", description="nodes that are in all of these regions", min_length=1, strict=False
-    )
-    any_of: tuple[RegionRef, ...] | None = Field(
-        None, alias="any", description="nodes that are in any of these regions", min_length=1, strict=False
-    )
-    not_of: RegionRef | None = Field(None, alias="not", description="nodes that are not in this region")
     cavity: bool | None = Field(
         None,
-        description="true: of the walls of cavities, alone all of them; else a region is on the outer surface",
+        description="true: nodes of the walls of cavities; else all but a group is on the outer surface",
     )
-
-
-RegionRef = Annotated[
-    Annotated[str, Tag("<name>")] | Annotated[Region, Tag("<table>")],
-    Discriminator(lambda value: "<name>" if isinstance(value, str) else "<table>"),
-]
 
 
 class Load(Table):
@@ -571,9 +556,6 @@ class Study(Table):
     def model_parameters(self) -> dict[str, Vdm]:
         """What [models."NAME"] overrides, by full model name."""
         return {name: table.given() for name, table in sorted(self.models.items())}
-
-
-Region.model_rebuild()
 
 
 # --- What a study has that not every model takes ---

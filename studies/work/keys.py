@@ -225,7 +225,7 @@ def _held(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str,
     kind = KINDS[constraint["kind"]]
     apart = {"kind", "name", "region", *kind.loads}
     others = {key: value for key, value in constraint.items() if key not in apart}
-    return {"region": _spelt_out(constraint["region"], inputs["regions"])} | others
+    return {"region": inputs["regions"][constraint["region"]]} | others
 
 
 def _touched(inputs: Mapping[str, Any]) -> list[tuple[str, float]]:
@@ -251,23 +251,10 @@ def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
             raise ValueError(f"a constraint of kind {constraint['kind']!r} has no unit loads: register it")
         apart = {"kind", "name", "region", *kind.loads}
         about = {key: value for key, value in constraint.items() if key not in apart}
-        region = _spelt_out(constraint["region"], inputs["regions"])
+        region = inputs["regions"][constraint["region"]]
         described = json.dumps([about, kind.versions(constraint), region], sort_keys=True)
         for unit, value in kind.unit_loads(constraint, described):
             out[unit] = out.get(unit, 0.0) + value
-    return out
-
-
-def _spelt_out(region: Any, named: Mapping[str, Any]) -> Any:
-    """A region with the regions that it names in their place."""
-    if isinstance(region, str):
-        return _spelt_out(named[region], named)
-    out = dict(region)
-    for key in ("all", "any"):
-        if key in out:
-            out[key] = [_spelt_out(part, named) for part in out[key]]
-    if "not" in out:
-        out["not"] = _spelt_out(out["not"], named)
     return out
 
 

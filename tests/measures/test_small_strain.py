@@ -33,8 +33,7 @@ youngs_modulus = "5 kPa"
 poisson_ratio = 0.49
 [regions]
 bottom.below = { axis = "z", value = "-15 mm" }
-top.above = { axis = "z", value = "15 mm" }
-tool = { all = ["top", { ball = { center = [0, 0, "15 mm"], radius = "20 mm" } }] }
+tool = { above = { axis = "z", value = "15 mm" }, ball = { center = [0, 0, "15 mm"], radius = "20 mm" } }
 [[constraints]]
 kind = "fixed"
 region = "bottom"
@@ -129,7 +128,7 @@ def test_the_limit_of_a_departure_by_a_power_law_is_that_of_the_refined_mesh(
 
 SIDE = """
 [regions.side]
-all = [{ above = { axis = "x", value = "30 mm" } }, { above = { axis = "z", value = "0 mm" } }]
+box = { min = ["30 mm", -1, 0], max = [1, 1, 1] }
 [gravity]
 acceleration = [0, 0, -4]
 [[constraints]]

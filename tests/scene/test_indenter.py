@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -100,7 +101,8 @@ def hertz(directory: Path, **tables: Any) -> Study:
         "tissue": {"youngs_modulus": YOUNG, "poisson_ratio": 0.5},
         "regions": {
             "touch": {"ball": {"center": [0, 0, 0], "radius": 1.6 * CONTACT}},
-            "far": {"not": {"ball": {"center": [0, 0, 0], "radius": 0.99 * SHELLS[-1]}}},
+            # from the centroid, 3/8 of the radius below the flat face, the round one is seen up to its rim
+            "far": {"cap": {"direction": [0, 0, -1], "angle": math.pi - math.atan(0.9 * 8 / 3)}},
         },
         "constraints": [
             {"kind": "elastic", "region": "far", "stiffness": YOUNG / SHELLS[-1], "direction": "full"},

@@ -58,9 +58,8 @@ def exact_resultant(scene: Scene) -> np.ndarray:
 # --- regions ---
 
 
-def nodes(mesh: Mesh, region: dict[str, Any], **named: Any) -> np.ndarray:
-    regions = {name: Region.model_validate(value) for name, value in named.items()}
-    return select(Region.model_validate(region), mesh, regions)
+def nodes(mesh: Mesh, region: dict[str, Any]) -> np.ndarray:
+    return select(Region.model_validate(region), mesh)
 
 
 def test_half_spaces_by_value_and_fraction(sphere: Mesh) -> None:
@@ -87,12 +86,18 @@ def test_ball_box_and_cap(sphere: Mesh) -> None:
     assert (cap == (points[:, 2] > 0))[clear].all()
 
 
-def test_combinations(sphere: Mesh) -> None:
-    low, right = {"below": {"axis": "z", "fraction": 0.4}}, {"above": {"axis": "x", "value": 0.0}}
-    a, b = nodes(sphere, low), nodes(sphere, right)
-    assert (nodes(sphere, {"all": ["low", right]}, low=low) == (a & b)).all()
-    assert (nodes(sphere, {"any": [low, "right"]}, right=right) == (a | b)).all()
-    assert (nodes(sphere, {"not": {"all": [low, {"not": "right"}]}}, right=right) == ~(a & ~b)).all()
+def test_all_keys_of_a_region_hold(sphere: Mesh) -> None:
+    parts: dict[str, Any] = {
+        "below": {"axis": "z", "fraction": 0.6},
+        "above": {"axis": "x", "value": 0.0},
+        "ball": {"center": [0.03, 0.0, 0.0], "radius": 0.045},
+        "cap": {"direction": [0, 1, 0], "angle": 2.0},
+        "box": {"min": [-1, -1, -0.02], "max": [1, 1, 1]},
+    }
+    alone = [nodes(sphere, {key: part}) for key, part in parts.items()]
+    together = nodes(sphere, parts)
+    assert (together == np.logical_and.reduce(alone)).all()
+    assert 0 < together.sum() < min(mask.sum() for mask in alone)
 
 
 def test_groups_come_from_the_mesh(sphere: Mesh) -> None:

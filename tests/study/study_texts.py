@@ -39,7 +39,8 @@ below = { axis = "z", fraction = 0.15 }
 [regions.finger]
 cap = { direction = [0, 0, 1], angle = "25 deg" }
 [regions.rest]
-all = [{ not = "base" }, { not = { any = ["finger", { box = { min = [0, 0, 0], max = ["1 cm", 1, 1] } }] } }]
+above = { axis = "z", fraction = 0.15 }
+box = { min = [0, 0, 0], max = ["1 cm", 1, 1] }
 
 [[constraints]]
 kind = "fixed"

@@ -41,14 +41,6 @@ def test_the_texts_are_sound(tmp_path: Path, table: str) -> None:
         load(tmp_path, text)
 
 
-def test_regions_that_refer_to_themselves_are_refused(tmp_path: Path) -> None:
-    cycle = "[regions.p]\nnot = { any = ['q'] }\n[regions.q]\nall = ['p']\n[regions.into]\nnot = 'p'\n"
-    told = {key: message for _, key, message in problems(tmp_path, SMALL + cycle)}
-    assert told == dict.fromkeys(
-        ("regions.p", "regions.q"), "refers to itself, directly or through other regions"
-    )
-
-
 def test_what_only_the_mesher_finds_is_told_of_a_solid_at_its_shape(tmp_path: Path) -> None:
     """A solid has no path."""
     [problem] = geometry_error(load(tmp_path, SMALL), MeshError("gmsh cannot mesh this geometry")).problems

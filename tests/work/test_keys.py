@@ -138,7 +138,7 @@ def test_small_loads_beside_large_ones_keep_their_digits() -> None:
 def test_an_unknown_kind_of_constraint_has_no_loads_to_be_told_by(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two studies that differ in its size alone would share an answer, also the one that the disk cache keeps."""
     inputs = keys.case_inputs(study())
-    drag = {"kind": "drag", "region": {"cap": {"direction": [0.0, 0.0, 1.0], "angle": 0.5}}, "traction": 2.0}
+    drag = {"kind": "drag", "region": "finger", "traction": 2.0}
     monkeypatch.setattr(keys, "case_inputs", lambda _: {**inputs, "constraints": [drag]})
     for ask in (load_steps, lambda s: wanted(s, "mesh")):
         with pytest.raises(ValueError, match="kind 'drag' has no unit loads"):
@@ -147,8 +147,8 @@ def test_an_unknown_kind_of_constraint_has_no_loads_to_be_told_by(monkeypatch: p
 
 def test_a_contact_is_told_by_every_key_that_it_has() -> None:
     def units(**more: float) -> list[dict[str, float]]:
-        press = {"kind": "contact", "region": {}, "profile": "uniform", "force": 2.0, **more}
-        return load_steps(study(), {"constraints": [press], "regions": {}})
+        press = {"kind": "contact", "region": "tip", "profile": "uniform", "force": 2.0, **more}
+        return load_steps(study(), {"constraints": [press], "regions": {"tip": {}}})
 
     assert units(friction=0.1) != units(friction=0.2)
 
@@ -218,12 +218,10 @@ WHOLE: dict[str, Any] = STUDY | {
     | {
         "leaf": {"below": {"axis": "y", "fraction": 0.2}},  # which nothing names
         "all": {
-            "any": [
-                {"all": ["base", {"above": {"axis": "x", "value": 0.0}}]},
-                {"not": {"ball": {"center": [0.0, 0.0, 0.0], "radius": 0.01}}},
-                {"box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}},
-                {"group": "skin"},
-            ]
+            "above": {"axis": "x", "value": 0.0},
+            "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.01},
+            "box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]},
+            "group": "skin",
         },
     },
     "constraints": [
