@@ -156,12 +156,6 @@ class TetMesh:
         """(Q, 3 or 6) shape functions on a facet at (Q, 3) points."""
         return triangle_p2(barycentric) if self.order == 2 else barycentric
 
-    @property
-    def facet_points(self) -> Array:
-        """(F, Q, 3) points of `facet_quadrature` on the facets [m]."""
-        shape = self.facet_functions(facet_quadrature()[0])
-        return np.asarray(np.einsum("qa,fai->fqi", shape, self.node_points[self.facet_nodes]))
-
     def summed(self, nodes: Index, local: Array) -> Array:
         """(n_nodes, 3) sums of (k, w, 3) values at (k, w) nodes."""
         out = np.empty((self.n_nodes, 3))

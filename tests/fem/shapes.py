@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import ArrayLike, NDArray
 from skfem import MeshTet
 
+from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.linear import LinearProblem, Load
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import Solution
@@ -45,6 +46,16 @@ class Body:
         x = self.surface[self.triangles]
         return 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
 
+    @property
+    def bottom(self) -> NDArray[np.bool_]:
+        """(N,) vertices in the plane z = 0."""
+        return self.surface[:, 2] == 0.0
+
+    @property
+    def top(self) -> NDArray[np.bool_]:
+        """(F,) facets in the plane z = 1."""
+        return self.facets_where(lambda x: x[:, 2] == 1.0)
+
     def facets_where(self, on: Callable[[Array], NDArray[np.bool_]]) -> NDArray[np.bool_]:
         """(F,) facets whose three vertices all satisfy `on`."""
         return on(self.surface)[self.triangles].all(axis=1)
@@ -73,6 +84,11 @@ class Body:
         """A problem with E = 1 and nu = 0.3 unless told otherwise."""
         settings: dict[str, object] = {"youngs_modulus": 1.0, "poisson_ratio": 0.3, **options}
         return LinearProblem(*self.arrays, held=held, **settings)  # type: ignore[arg-type]
+
+    def finite(self, held: ArrayLike, **options: object) -> FiniteStrainProblem:
+        """The same at finite strain."""
+        settings: dict[str, object] = {"youngs_modulus": 1.0, "poisson_ratio": 0.3, **options}
+        return FiniteStrainProblem(*self.arrays, held=held, **settings)  # type: ignore[arg-type]
 
 
 FIELDS = ("displacement", "reaction_force", "fluid_pressure", "energy")

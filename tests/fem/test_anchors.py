@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from skfem import MeshTet
 
 from fem_reference.exact import IncompressibleBall, ThickCylinder, ThickSphere
 from solver_common.quadrature import facet_quadrature
@@ -22,7 +21,7 @@ from tests.fem.convergence import (
     relative_l2,
     relative_without_motion,
 )
-from tests.fem.shapes import Body, ball, body, mapped_box, pressed_shell
+from tests.fem.shapes import Body, ball, mapped_box, pressed_shell
 from tests.verification.records import Verified
 
 Array = np.ndarray
@@ -253,66 +252,3 @@ def test_ball_under_a_legendre_traction(degree: int, cap: float, verified: Verif
 @pytest.mark.parametrize(("degree", "cap"), [(2, 0.0045), (3, 0.006), (4, 0.0095), (5, 0.013)])
 def test_ball_under_a_legendre_traction_on_fine_meshes(degree: int, cap: float, verified: Verified) -> None:
     _check_ball(verified, degree, (3, 4), cap)
-
-
-def _split(b: Body) -> Body:
-    """Every tetrahedron into eight; the facets stay flat, the vertices of before come first."""
-    mesh = MeshTet(b.points.T.copy(), b.tetrahedra.T.copy()).refined()
-    return body(mesh.p.T, mesh.t.T)
-
-
-def _polyhedron_limit(refinements: int, splits: int) -> tuple[Body, list[Array], Array]:
-    """A polyhedron under P_2, its solutions on ever finer tetrahedra and their limit, at its own vertices."""
-    bodies = [ball(refinements)]
-    for _ in range(splits):
-        bodies.append(_split(bodies[-1]))
-    coarse = bodies[0]
-    fields = []
-    for b in bodies:
-        u = np.zeros((len(b.points), 3))
-        u[b.surface_nodes] = _ball_solution(b, 2)[0]
-        fields.append(u[coarse.surface_nodes])
-    shrink = 8.0  # of a P2 displacement, where there is one step only
-    if splits > 1:
-        shrink = relative_without_motion(fields[-3], fields[-2], coarse.surface) / relative_without_motion(
-            fields[-2], fields[-1], coarse.surface
-        )
-    return coarse, fields, fields[-1] + (fields[-1] - fields[-2]) / (shrink - 1.0)
-
-
-@a_ball
-def test_geometry_error_of_the_ball(verified: Verified) -> None:
-    """On one flat-faceted polyhedron the discretisation error falls with its own levels and the rest stays."""
-    coarse, fields, limit = _polyhedron_limit(1, 2)
-    exact = _exact_ball(2).displacement(coarse.surface)
-    errors = [relative_without_motion(field, limit, coarse.surface) for field in fields]
-    total = [relative_without_motion(field, exact, coarse.surface) for field in fields]
-    verified.at_most(
-        "polyhedron of 32 facets, n = 2: discretisation error on its second level", errors[1], 0.02
-    )
-    verified.at_most(
-        "polyhedron of 32 facets, n = 2: discretisation error on its third level", errors[2], 0.004
-    )
-    # against the exact ball finer tetrahedra change next to nothing: what is left is the shape
-    verified.equal(
-        "polyhedron of 32 facets, n = 2: error against the ball, last over first level",
-        total[2] / total[0],
-        0.9,
-        atol=0.1,
-    )
-
-
-@a_ball
-@pytest.mark.slow
-def test_geometry_error_is_of_second_order(verified: Verified) -> None:
-    record = Convergence("geometry error alone, n = 2", 2.0, 0.02, _GEOMETRY_SLACK)
-    for refinements, splits in ((2, 2), (3, 1)):
-        coarse, fields, limit = _polyhedron_limit(refinements, splits)
-        exact = _exact_ball(2).displacement(coarse.surface)
-        geometry, discretisation = (
-            relative_without_motion(limit, other, coarse.surface) for other in (exact, fields[0])
-        )
-        record.add(2.0**-refinements, geometry)
-        title = f"discretisation error over geometry error, level {refinements}, n = 2"
-        verified.at_most(title, discretisation / geometry, 0.3)
-    record.check(verified)

@@ -33,27 +33,6 @@ def _upper(b: Body) -> np.ndarray:
     return b.surface[:, 2] > 0.01
 
 
-@pytest.mark.parametrize("poisson_ratio", [0.3, 0.5])
-@pytest.mark.parametrize("element", ["P2-P1", "P2", "P1"])
-def test_equal_to_the_linear_solve(body: Body, element: str, poisson_ratio: float) -> None:
-    """Random pressures on the contact facets and weight in every direction, in every field."""
-    if poisson_ratio == 0.5 and element != "P2-P1":
-        poisson_ratio = 0.45
-    rng = np.random.default_rng(0)
-    linear = _linear(body, poisson_ratio=poisson_ratio, element=element, density=1e3)
-    model = CondensedProblem(linear, _upper(body))
-    inside = _upper(body)[body.triangles].all(axis=1)
-    loads = [
-        body.load(rng.uniform(-1e3, 1e3, (len(inside), 6)) * inside[:, None], gravity=rng.uniform(-9, 9, 3))
-        for _ in range(3)
-    ]
-    expected, found = linear.solve(loads, frozenset({"compliance"})), model.solve(loads)
-    assert_same(found, expected, 1e-10)
-    assert_allclose(found.scalars["compliance"], expected.scalars["compliance"], rtol=1e-10, atol=0)
-    assert all(s.ok for s in found.status)
-    assert found.iterations.sum() == 0
-
-
 def test_what_it_cannot_do_is_refused(body: Body) -> None:
     condensed = CondensedProblem(_linear(body, density=1e3), _upper(body))
     good = body.load(1.0 * body.facets_where(lambda x: x[:, 2] > 0.03))
@@ -103,14 +82,14 @@ def test_a_node_is_pushed_only_where_pressure_can_push_it() -> None:
 
 
 @pytest.mark.parametrize("rollers", [False, True])
-@pytest.mark.parametrize("element", ["P2-P1", "P1"])
-def test_held_nodes_that_move_are_equal_to_the_linear_solve(body: Body, element: str, rollers: bool) -> None:
+@pytest.mark.parametrize(("element", "poisson_ratio"), [("P2-P1", 0.5), ("P2", 0.3), ("P1", 0.45)])
+def test_equal_to_the_linear_solve(body: Body, element: str, poisson_ratio: float, rollers: bool) -> None:
     """Two motions in any combination, with pressure and weight, in every field; reciprocal as forces are."""
     rng = np.random.default_rng(4)
     held = np.repeat(body.surface[:, 2:] < -0.02, 3, axis=1)
     if rollers:
         held[:, 0] &= body.surface[:, 2] < -0.03
-    settings = {"youngs_modulus": 5e3, "poisson_ratio": 0.45, "solver": "direct", "density": 1e3}
+    settings = {"youngs_modulus": 5e3, "poisson_ratio": poisson_ratio, "solver": "direct", "density": 1e3}
     linear = body.problem(held, element=element, **settings)
     motions = rng.uniform(-1e-3, 1e-3, (2, len(body.surface), 3))
     model = CondensedProblem(linear, _upper(body), motions=motions)
@@ -126,6 +105,7 @@ def test_held_nodes_that_move_are_equal_to_the_linear_solve(body: Body, element:
     ]
     expected, found = linear.solve(loads, frozenset({"compliance"})), model.solve(loads)
     assert_same(found, expected, 1e-10)
+    assert found.iterations.sum() == 0
     work = expected.scalars["compliance"]
     assert_allclose(found.scalars["compliance"], work, rtol=0, atol=1e-10 * np.abs(work).max())
     reactions = model.matrix[-2:, -2:]

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 
 from fem_reference.condensed import CondensedProblem
 from fem_reference.condition import condition_estimate
-from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.solution import SolverError
 from fem_reference.system import LinearSystem
 from tests.fem.shapes import Body, ball, cube
@@ -55,7 +54,7 @@ def test_every_solver_reports_it_where_it_is_asked_for_and_not_otherwise() -> No
     assert "condition_estimate" not in linear.solve([load]).scalars
     contact = body.surface[:, 2] > 0.5
     condensed = CondensedProblem(body.problem(held, poisson_ratio=0.49, solver="direct"), contact)
-    finite = FiniteStrainProblem(*body.arrays, youngs_modulus=1.0, poisson_ratio=0.49, held=held)
+    finite = body.finite(held, poisson_ratio=0.49)
     for problem in (linear, condensed):
         found = problem.solve([load, load], CONDITION).scalars["condition_estimate"]
         assert_allclose(found, linear.condition, rtol=1e-12, atol=0)
@@ -71,7 +70,7 @@ def test_the_tangents_condition_follows_the_load() -> None:
     body, held = BALL, base(BALL)
     facets = body.facets_where(lambda x: x[:, 2] > 0.5)
     loads = [body.load(pressure=np.where(facets, p, 0.0)) for p in (0.0, 0.1, 0.2, 100.0)]
-    problem = FiniteStrainProblem(*body.arrays, youngs_modulus=1.0, poisson_ratio=0.49, held=held)
+    problem = body.finite(held, poisson_ratio=0.49)
     found = problem.solve(loads, CONDITION)
     estimate = found.scalars["condition_estimate"]
     assert [status.ok for status in found.status] == [True, True, True, False]

@@ -6,22 +6,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.surface_stretch import BIOT, most_compressed
-from tests.fem.shapes import Array, Body, mapped_box
+from tests.fem.shapes import Array, mapped_box
 
-
-def _problem(body: Body, held: Array, poisson_ratio: float = 0.4999) -> FiniteStrainProblem:
-    return FiniteStrainProblem(
-        *body.arrays, youngs_modulus=1.0, poisson_ratio=poisson_ratio, density=1.0, held=held
-    )
+HEAVY = {"poisson_ratio": 0.4999, "density": 1.0}
 
 
 def test_a_rim_that_creases_is_named_and_ends_the_way_soon() -> None:
     body = mapped_box((2, 2, 2), lambda x: x)
     # what solvers remember moves the end of the way: each begins anew
-    problem, other = (_problem(body, body.surface[:, 2] == 0.0) for _ in range(2))
-    load = body.load(1.0 * body.facets_where(lambda x: x[:, 2] == 1.0))
+    problem, other = (body.finite(body.bottom, **HEAVY) for _ in range(2))
+    load = body.load(1.0 * body.top)
     attempts = [attempt for _, attempt in problem.substeps([load])]
     last = [attempt for attempt in attempts if attempt.converged][-1]
     worst = most_compressed(problem.mesh, last.state.displacement * problem.mesh.mean_edge)
@@ -41,7 +36,7 @@ def test_what_creases_at_the_rim_of_what_is_held_is_said_to_be_there(
     sides: tuple[int, int, int], at_the_rim: bool
 ) -> None:
     body = mapped_box(sides, lambda x: x)
-    problem = _problem(body, body.surface[:, 2] == 0.0)
+    problem = body.finite(body.bottom, **HEAVY)
     (status,) = problem.solve([body.load(gravity=(0.0, 0.0, -4.0))]).status
     assert "creasing" in status.message
     assert ("at the rim of what is held" in status.message) == at_the_rim
@@ -55,7 +50,7 @@ def test_a_limit_point_is_named() -> None:
 
     body = mapped_box((10, 2, 1), arch)
     x = body.surface[:, 0]
-    problem = _problem(body, (x < 1e-9) | (x > 1.0 - 1e-9))
+    problem = body.finite((x < 1e-9) | (x > 1.0 - 1e-9), **HEAVY)
     (status,) = problem.solve([body.load(gravity=(0.0, 0.0, -0.1))]).status
     assert not status.ok
     assert "a limit point" in status.message

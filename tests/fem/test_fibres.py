@@ -1,4 +1,4 @@
-"""The linear problem with fibres: exact tension, scikit-fem's form, the finite-strain law's small limit."""
+"""The linear problem with fibres: exact tension; the limit of small loads is in `test_finite_strain`."""
 
 from __future__ import annotations
 
@@ -6,20 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fem_reference.finite_strain import FiniteStrainProblem
-from fem_reference.linear import LinearProblem
 from tests.fem.shapes import Body, cube
-
-TILT = (1.0, -2.0, 0.5)
 
 
 @pytest.fixture(scope="module")
 def block() -> Body:
     return cube(3, distort=0.2)
-
-
-def _bottom(b: Body) -> np.ndarray:
-    return b.surface[:, 2] < 1e-12
 
 
 def _tension(b: Body, contrast: float, axis: int, **options: object) -> tuple[np.ndarray, float]:
@@ -52,18 +44,3 @@ def test_tension_along_and_across_is_exact(
         strain, pressure = _tension(block, contrast, axis, element=element, poisson_ratio=nu, solver=solver)
         assert_allclose(strain, compliance[:, axis], rtol=0, atol=2e-7)
         assert_allclose(pressure, -1.0 / 3.0, rtol=0, atol=2e-7)
-
-
-def test_small_loads_of_the_finite_strain_law_are_linear(block: Body) -> None:
-    fibres = {"fibre_direction": TILT, "contrast": 5.0}
-    common = {"youngs_modulus": 1.0, "poisson_ratio": 0.4999, "held": _bottom(block)}
-    load = block.load(1e-6 * block.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12))
-    linear = LinearProblem(*block.arrays, **common, **fibres).solve([load])
-    finite = FiniteStrainProblem(*block.arrays, **common, material="transversely-isotropic", **fibres)
-    finite = finite.solve([load])
-    isotropic = LinearProblem(*block.arrays, **common).solve([load])
-    size = np.abs(linear.displacement).max()
-    assert np.abs(linear.displacement - isotropic.displacement).max() > 0.2 * size
-    assert_allclose(finite.displacement, linear.displacement, rtol=0, atol=1e-5 * size)
-    assert_allclose(finite.fluid_pressure, linear.fluid_pressure, rtol=1e-4, atol=0)
-    assert_allclose(finite.energy, linear.energy, rtol=1e-4, atol=0)

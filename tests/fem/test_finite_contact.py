@@ -5,29 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 from scipy.sparse import bsr_array
 
 from fem_reference.assembly import scalar_pattern
 from fem_reference.contact import ContactProblem
 from fem_reference.finite_contact import RigidContact
-from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.indenter import Capsule, FlatPunch, Indenter, Shape, Sphere
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import SolverError
-from tests.fem.shapes import Body, cube
+from tests.fem.shapes import cube
 from tests.verification.records import Verified
 
+SOFT = {"youngs_modulus": 3.0, "poisson_ratio": 0.45}
 DOWN, TIP = (0.0, 0.0, -1.0), (0.5, 0.5, 1.0)
-
-
-def _top(b: Body) -> NDArray[np.bool_]:
-    return b.facets_where(lambda x: x[:, 2] == 1.0)
-
-
-def _problem(b: Body, **options: object) -> FiniteStrainProblem:
-    settings: dict[str, object] = {"youngs_modulus": 3.0, "poisson_ratio": 0.45, **options}
-    return FiniteStrainProblem(*b.arrays, held=b.surface[:, 2] == 0.0, **settings)  # type: ignore[arg-type]
 
 
 @pytest.mark.anchor("contact forces of an indenter", "central differences")
@@ -38,7 +28,7 @@ def test_contact_tangent_by_finite_differences(shape: Shape, verified: Verified)
     b = cube(3, distort=0.2)
     mesh = TetMesh(*b.arrays)
     pattern = scalar_pattern(mesh)
-    contact = RigidContact(mesh, pattern, Indenter(shape, TIP, DOWN), _top(b))
+    contact = RigidContact(mesh, pattern, Indenter(shape, TIP, DOWN), b.top)
     rng = np.random.default_rng(3)
     x = mesh.node_points / mesh.mean_edge + rng.uniform(-0.02, 0.02, (mesh.n_nodes, 3))
     depth = 0.2 / mesh.mean_edge
@@ -60,11 +50,11 @@ def test_a_small_indentation_is_the_linear_one(verified: Verified) -> None:
     b = cube(6)
     indenter = Indenter(Sphere(20.0), TIP, DOWN)
     linear = ContactProblem(
-        b.problem(b.surface[:, 2] == 0.0, youngs_modulus=3.0, poisson_ratio=0.45),
+        b.problem(b.bottom, **SOFT),
         indenter,
         b.surface[:, 2] == 1.0,
     ).solve([4e-3])
-    finite = _problem(b).indent(indenter, _top(b), [4e-3])
+    finite = b.finite(b.bottom, **SOFT).indent(indenter, b.top, [4e-3])
     assert finite.solution.status[0].ok, finite.solution.status
     assert finite.inside[0] <= 1e-4
     verified.equal(
@@ -76,10 +66,10 @@ def test_a_small_indentation_is_the_linear_one(verified: Verified) -> None:
 def test_force_is_the_slope_of_the_energy(verified: Verified) -> None:
     """To a fifth of the height: the force along the push integrates to the energy that the body stores."""
     b = cube(3)
-    problem = _problem(b)
+    problem = b.finite(b.bottom, **SOFT)
     indenter = Indenter(Sphere(0.7), TIP, DOWN)
     depths = 0.1 * (np.polynomial.legendre.leggauss(6)[0] + 1.0)
-    s = problem.indent(indenter, _top(b), [*depths, 0.2])
+    s = problem.indent(indenter, b.top, [*depths, 0.2])
     assert all(status.ok for status in s.solution.status), s.solution.status
     work = 0.1 * np.polynomial.legendre.leggauss(6)[1] @ -s.force[:-1, 2]
     assert np.all(np.diff(-s.force[:, 2]) > 0.0)
@@ -95,8 +85,8 @@ def test_force_is_the_slope_of_the_energy(verified: Verified) -> None:
 def test_an_indenter_never_goes_through_the_surface() -> None:
     """Deeper than it is wide in one step: it pushes, or the step has failed by name, on the way and not at rest."""
     b = cube(3)
-    found = _problem(b, poisson_ratio=0.2).indent(
-        Indenter(Sphere(0.17), (0.5, 0.5, 1.0), DOWN), _top(b), [0.45]
+    found = b.finite(b.bottom, **SOFT | {"poisson_ratio": 0.2}).indent(
+        Indenter(Sphere(0.17), (0.5, 0.5, 1.0), DOWN), b.top, [0.45]
     )
     if found.solution.status[0].ok:
         assert -found.force[0, 2] > 0.0
@@ -108,7 +98,7 @@ def test_an_indenter_never_goes_through_the_surface() -> None:
 
 def test_a_mesh_too_coarse_for_its_indenter_is_told() -> None:
     b = cube(4)
-    found = _problem(b).indent(Indenter(Sphere(0.13), (0.6, 0.55, 1.0), DOWN), _top(b), [0.03])
+    found = b.finite(b.bottom, **SOFT).indent(Indenter(Sphere(0.13), (0.6, 0.55, 1.0), DOWN), b.top, [0.03])
     assert found.solution.status[0].ok
     assert found.inside[0] > 0.1 * 0.03
     assert "inside the indenter" in found.solution.status[0].message
@@ -116,20 +106,20 @@ def test_a_mesh_too_coarse_for_its_indenter_is_told() -> None:
 
 def test_indenters_that_make_no_sense_are_refused() -> None:
     b = cube(1)
-    problem, sphere = _problem(b), Indenter(Sphere(0.5), TIP, DOWN)
+    problem, sphere = b.finite(b.bottom, **SOFT), Indenter(Sphere(0.5), TIP, DOWN)
     for call, words in (
         (
-            lambda: problem.indent(Indenter(Sphere(0.4), TIP, DOWN), _top(b), [0.1]),
+            lambda: problem.indent(Indenter(Sphere(0.4), TIP, DOWN), b.top, [0.1]),
             r"falls between the points of facets of 1.41 m; use facets of at most 1.2 m",
         ),
         (
-            lambda: problem.indent(Indenter(FlatPunch(0.5), TIP, DOWN), _top(b), [0.1]),
+            lambda: problem.indent(Indenter(FlatPunch(0.5), TIP, DOWN), b.top, [0.1]),
             "use a sphere or a capsule",
         ),
-        (lambda: problem.indent(sphere, _top(b)[1:], [0.1]), r"give a mask of \(12,\)"),
-        (lambda: problem.indent(sphere, _top(b), []), "give one finite number"),
-        (lambda: problem.indent(sphere, _top(b), [np.inf]), "give one finite number"),
+        (lambda: problem.indent(sphere, b.top[1:], [0.1]), r"give a mask of \(12,\)"),
+        (lambda: problem.indent(sphere, b.top, []), "give one finite number"),
+        (lambda: problem.indent(sphere, b.top, [np.inf]), "give one finite number"),
     ):
         with pytest.raises(SolverError, match=words):
             call()
-    assert_allclose(problem.indent(sphere, _top(b), [-0.1]).force, 0.0, rtol=0, atol=1e-15)
+    assert_allclose(problem.indent(sphere, b.top, [-0.1]).force, 0.0, rtol=0, atol=1e-15)

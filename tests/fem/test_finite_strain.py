@@ -10,7 +10,7 @@ from scipy.sparse import bsr_array
 
 from fem_reference import tangent_solver
 from fem_reference.assembly import coupling_pattern, scalar_pattern
-from fem_reference.finite_strain import OUTPUTS, FiniteStrainProblem
+from fem_reference.finite_strain import OUTPUTS
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
 from fem_reference.loads import nodal_forces
@@ -31,20 +31,6 @@ FIBRES = {"material": "transversely-isotropic", "fibre_direction": TILT, "contra
 @pytest.fixture(scope="module")
 def block() -> Body:
     return cube(2, distort=0.25)
-
-
-def _problem(b: Body, held: Array, **options: object) -> FiniteStrainProblem:
-    """E = 1 and nu = 0.3 unless told otherwise."""
-    settings: dict[str, object] = {"youngs_modulus": 1.0, "poisson_ratio": 0.3, **options}
-    return FiniteStrainProblem(*b.arrays, held=held, **settings)  # type: ignore[arg-type]
-
-
-def _bottom(b: Body) -> Array:
-    return b.surface[:, 2] == 0.0
-
-
-def _top(b: Body) -> Array:
-    return b.facets_where(lambda x: x[:, 2] == 1.0)
 
 
 def _converged(solution: Solution) -> Solution:
@@ -103,7 +89,7 @@ def test_follower_tangent_by_finite_differences(block: Body, verified: Verified)
     follower = FollowerPressure(mesh, pattern)
     rng = np.random.default_rng(10)
     x = mesh.node_points + rng.uniform(-0.05, 0.05, (mesh.n_nodes, 3))
-    pressure = rng.uniform(-1.0, 1.0, (len(block.triangles), 6)) * _top(block)[:, None]
+    pressure = rng.uniform(-1.0, 1.0, (len(block.triangles), 6)) * block.top[:, None]
     places, blocks = follower.stiffness(x, pressure)
     whole = np.zeros((pattern.size, 3, 3))
     whole[places] = blocks
@@ -134,7 +120,7 @@ def test_patch_test_with_the_whole_surface_given(
     held = np.ones(len(block.surface), dtype=bool)
     given = block.surface @ (stretch - np.eye(3)).T
     # Nearly incompressible, the residual is measured against a pressure that is thousands of moduli.
-    problem = _problem(block, held, poisson_ratio=poisson_ratio, tolerance=1e-12)
+    problem = block.finite(held, poisson_ratio=poisson_ratio, tolerance=1e-12)
     attempts = [a for _, a in problem.substeps([block.load(prescribed=given)])]
     assert attempts[-1].converged
     assert attempts[-1].load_factor == 1.0
@@ -193,7 +179,7 @@ def test_uniaxial_stretch_on_rollers(block: Body, poisson_ratio: float, stretch:
     held[:, 2] |= x[:, 2] == 1.0
     given = np.zeros_like(x)
     given[x[:, 2] == 1.0, 2] = stretch - 1.0
-    problem = _problem(block, held, poisson_ratio=poisson_ratio, solver=solver)
+    problem = block.finite(held, poisson_ratio=poisson_ratio, solver=solver)
     s = _converged(problem.solve([block.load(prescribed=given)], EVERYTHING))
     assert_array_equal(s.displacement[0][held], given[held])
     expected = x * (np.array([t, t, stretch]) - 1.0)
@@ -219,7 +205,7 @@ def test_a_rigid_turn_of_the_support_strains_nothing(
     c, s = np.cos(0.7), np.sin(0.7)
     turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     given = block.surface @ (turn - np.eye(3)).T + np.array([3.0, -1.0, 2.0])
-    problem = _problem(block, _bottom(block), poisson_ratio=0.5, **options)
+    problem = block.finite(block.bottom, poisson_ratio=0.5, **options)
     solution = _converged(problem.solve([block.load(prescribed=given)], EVERYTHING))
     title = f"finite strain, {'fibres' if options else 'neo-Hookean'}, support turned by 0.7 rad"
     verified.at_most(f"{title}: displacement", solution.displacement[0] - given, 1e-9)
@@ -235,12 +221,12 @@ def test_the_whole_scene_can_be_turned(block: Body, pressure: str, verified: Ver
     turn *= np.sign(np.linalg.det(turn))
     gravity = np.array([0.05, 0.0, -0.1])
     options: dict[str, object] = {**FIBRES, "poisson_ratio": 0.4999, "density": 1.0, "pressure": pressure}
-    problem = _problem(block, _bottom(block), **options)
-    here = _converged(problem.solve([block.load(0.1 * _top(block), gravity=gravity)], EVERYTHING))
+    problem = block.finite(block.bottom, **options)
+    here = _converged(problem.solve([block.load(0.1 * block.top, gravity=gravity)], EVERYTHING))
     there_body = Body(block.points @ turn.T, *block.arrays[1:])
     options["fibre_direction"] = turn @ np.array(TILT)
-    problem = _problem(there_body, _bottom(block), **options)
-    there = _converged(problem.solve([block.load(0.1 * _top(block), gravity=turn @ gravity)], EVERYTHING))
+    problem = there_body.finite(block.bottom, **options)
+    there = _converged(problem.solve([block.load(0.1 * block.top, gravity=turn @ gravity)], EVERYTHING))
     difference = there.displacement[0] - here.displacement[0] @ turn.T
     verified.at_most(f"finite strain, {pressure} pressure, scene turned: displacement", difference, 1e-9)
     assert_allclose(there.reaction_force[0], here.reaction_force[0] @ turn.T, rtol=0, atol=1e-9)
@@ -254,24 +240,28 @@ def test_the_whole_scene_can_be_turned(block: Body, pressure: str, verified: Ver
 def test_reactions_balance_a_follower_pressure(block: Body, poisson_ratio: float, verified: Verified) -> None:
     """Pressure on all of the surface but a rigid face: the resultant is that on the face, however it deforms."""
     pressure = -0.3 * ~block.facets_where(lambda x: x[:, 2] == 0.0)
-    s = _converged(_problem(block, _bottom(block), poisson_ratio=poisson_ratio).solve([block.load(pressure)]))
+    s = _converged(block.finite(block.bottom, poisson_ratio=poisson_ratio).solve([block.load(pressure)]))
     unbalanced = s.reaction_force[0].sum(axis=0) - [0.0, 0.0, -0.3]
     verified.at_most(f"follower pressure, nu = {poisson_ratio}: sum of forces", unbalanced, 1e-9)
     if poisson_ratio < 0.5:
         assert np.abs(s.displacement).max() > 0.05
 
 
-@pytest.mark.parametrize("pressure", ["follower", "dead"])
-@pytest.mark.parametrize("poisson_ratio", [0.3, 0.5])
-def test_small_loads_give_the_linear_solution(block: Body, pressure: str, poisson_ratio: float) -> None:
+@pytest.mark.parametrize("fibres", [{}, FIBRES], ids=["neo-hookean", "fibres"])
+@pytest.mark.parametrize(("poisson_ratio", "pressure"), [(0.3, "dead"), (0.5, "follower")])
+def test_small_loads_give_the_linear_solution(
+    block: Body, poisson_ratio: float, pressure: str, fibres: dict[str, object]
+) -> None:
     """The difference is quadratic in the load."""
-    held = _bottom(block)
-    linear = block.problem(held, poisson_ratio=poisson_ratio, density=1.0)
-    problem = _problem(block, held, poisson_ratio=poisson_ratio, density=1.0, pressure=pressure)
+    held = block.bottom
+    options = {"poisson_ratio": poisson_ratio, "density": 1.0, **fibres}
+    problem = block.finite(held, pressure=pressure, **options)
+    options.pop("material", None)
+    linear = block.problem(held, **options)
     differences = []
     for size in (1e-3, 1e-4, 1e-5):
         given = held[:, None] * size * np.array([0.2, 0.0, 0.1]) * block.surface[:, :1]
-        load = block.load(size * _top(block), given, gravity=(size, 0.0, 0.0))
+        load = block.load(size * block.top, given, gravity=(size, 0.0, 0.0))
         expected, found = linear.solve([load]), _converged(problem.solve([load]))
         scale = np.abs(expected.displacement).max()
         differences.append(np.abs(found.displacement - expected.displacement).max() / scale)
@@ -289,7 +279,7 @@ def test_the_two_solvers_agree(verified: Verified) -> None:
     held = b.surface[:, 2] < -0.7
     loads = [b.load(0.3 * b.facets_where(lambda x: x[:, 2] > 0.7))]
     results = [
-        _converged(_problem(b, held, poisson_ratio=0.5, solver=solver).solve(loads))
+        _converged(b.finite(held, poisson_ratio=0.5, solver=solver).solve(loads))
         for solver in ("direct", "iterative")
     ]
     assert [r.parameters["solver"] for r in results] == ["direct", "iterative"]
@@ -302,8 +292,8 @@ def test_the_two_solvers_agree(verified: Verified) -> None:
 
 
 def test_an_elastic_body_forgets_its_path(block: Body) -> None:
-    problem = _problem(block, _bottom(block), poisson_ratio=0.4999)
-    half, full = block.load(0.1 * _top(block)), block.load(0.2 * _top(block))
+    problem = block.finite(block.bottom, poisson_ratio=0.4999)
+    half, full = block.load(0.1 * block.top), block.load(0.2 * block.top)
     path = _converged(problem.solve([half, full, half, block.load()], EVERYTHING))
     straight = _converged(problem.solve([full], EVERYTHING))
     assert_allclose(path.displacement[1], straight.displacement[0], rtol=0, atol=1e-9)
@@ -317,9 +307,9 @@ def test_an_elastic_body_forgets_its_path(block: Body) -> None:
 def test_substeps_are_cut_and_grow(block: Body) -> None:
     """Pressed flat in one load step: too much for one solve, not for several."""
     x = block.surface
-    held = _bottom(block) | (x[:, 2] == 1.0)
+    held = block.bottom | (x[:, 2] == 1.0)
     given = (x[:, 2:] == 1.0) * np.array([0.0, 0.0, -0.75])
-    problem = _problem(block, held, poisson_ratio=0.45, max_newton=5)
+    problem = block.finite(held, poisson_ratio=0.45, max_newton=5)
     attempts = [a for _, a in problem.substeps([block.load(prescribed=given)])]
     reached = [a.load_factor for a in attempts if a.converged]
     assert not all(a.converged for a in attempts)
@@ -331,31 +321,15 @@ def test_substeps_are_cut_and_grow(block: Body) -> None:
     assert_allclose(s.displacement[0][held], given[held], rtol=0, atol=1e-15)
 
 
-def test_a_solve_tells_where_it_is(block: Body) -> None:
-    problem = _problem(block, _bottom(block), poisson_ratio=0.45)
-    loads = [block.load(-share * _top(block)) for share in (0.1, 20.0)]
+def test_a_load_out_of_reach_is_a_status_with_a_remedy_and_a_solve_tells_where_it_is(block: Body) -> None:
+    problem = block.finite(block.bottom, poisson_ratio=0.45)
+    loads = [block.load(-share * block.top) for share in (0.1, 20.0, 0.1)]
     told: list[Progress] = []
     with reported(told.append):
-        solution = problem.solve(loads)
-    assert {(one.step, one.steps) for one in told} == {(0, 2), (1, 2)}
-    for step, iterations in enumerate(solution.iterations):
-        here = [one for one in told if one.step == step]
-        starts = [k for k, one in enumerate(here) if one.iteration == 0]
-        assert sum(one.iteration > 0 for one in here) == iterations
-        assert all(here[k].reached < here[k].share <= 1.0 for k in starts)
-        assert max(one.reached for one in here) == (step and solution.scalars["load_factor"][1])
-    (last,) = [one for one in told if one.step == 0][-1:]
-    assert (last.share, last.residual) == (1.0, solution.scalars["relative_residual"][0])
+        s = problem.solve(loads, EVERYTHING)
     count = len(told)
     problem.solve(loads[:1])
     assert len(told) == count, "a solve outside of the block"
-
-
-def test_a_load_out_of_reach_is_a_status_with_a_remedy(block: Body) -> None:
-    problem = _problem(block, _bottom(block), poisson_ratio=0.45)
-    small = block.load(-0.1 * _top(block))
-    absurd = block.load(-20.0 * _top(block))
-    s = problem.solve([small, absurd, small], EVERYTHING)
     assert [status.code for status in s.status][::2] == ["converged", "not-reached"]
     failed = s.status[1]
     assert failed.code in {"not-converged", "inverted"}
@@ -369,10 +343,19 @@ def test_a_load_out_of_reach_is_a_status_with_a_remedy(block: Body) -> None:
         assert np.isfinite(values[:2]).all()
         assert np.isnan(values[2]).all()
     assert s.iterations[2] == 0
+    assert {(one.step, one.steps) for one in told} == {(0, 3), (1, 3)}
+    for step, iterations in enumerate(s.iterations[:2]):
+        here = [one for one in told if one.step == step]
+        starts = [k for k, one in enumerate(here) if one.iteration == 0]
+        assert sum(one.iteration > 0 for one in here) == iterations
+        assert all(here[k].reached < here[k].share <= 1.0 for k in starts)
+        assert max(one.reached for one in here) == (step and s.scalars["load_factor"][1])
+    (last,) = [one for one in told if one.step == 0][-1:]
+    assert (last.share, last.residual) == (1.0, s.scalars["relative_residual"][0])
 
 
 def test_a_first_step_out_of_reach_leaves_the_body_at_rest(block: Body) -> None:
-    s = _problem(block, _bottom(block), pressure="dead").solve([block.load(1e9 * _top(block))], EVERYTHING)
+    s = block.finite(block.bottom, pressure="dead").solve([block.load(1e9 * block.top)], EVERYTHING)
     assert s.status[0].code == "inverted"
     assert s.scalars["load_factor"] == 0.0
     assert_array_equal(s.displacement, 0.0)
@@ -381,8 +364,8 @@ def test_a_first_step_out_of_reach_leaves_the_body_at_rest(block: Body) -> None:
 
 
 def test_nodal_fields_are_those_of_the_surface_and_none_beyond_reach(block: Body) -> None:
-    problem = _problem(block, _bottom(block), pressure="dead", density=1.0)
-    loads = [block.load(size * _top(block)) for size in (0.1, 1e9, 0.1)]
+    problem = block.finite(block.bottom, pressure="dead", density=1.0)
+    loads = [block.load(size * block.top) for size in (0.1, 1e9, 0.1)]
     forces = nodal_forces(problem.mesh, loads, 1.0)
     fields = problem.solve_nodal(forces, np.zeros_like(forces))
     s = problem.solve(loads[:1])
@@ -407,31 +390,31 @@ def test_options_that_make_no_sense_are_refused(block: Body) -> None:
         ({"solver": "iterative", "memory_limit": 1e3}, "the iterative solver needs about"),
     ):
         with pytest.raises(SolverError, match=words):
-            _problem(block, _bottom(block), **options)
+            block.finite(block.bottom, **options)
 
 
 def test_auto_turns_to_multigrid_when_the_analysis_finds_too_much_fill(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     b = cube(3)
-    top = b.load(0.05 * b.facets_where(lambda x: x[:, 2] == 1.0))
+    top = b.load(0.05 * b.top)
     direct, iterative = (
-        _problem(b, _bottom(b), solver=solver).solver.preconditioner.estimated_bytes
+        b.finite(b.bottom, solver=solver).solver.preconditioner.estimated_bytes
         for solver in ("direct", "iterative")
     )
     assert iterative < direct
     monkeypatch.setattr(tangent_solver, "faster_that_fits", lambda *_: ("direct", "hopeful"))
-    problem = _problem(b, _bottom(b), memory_limit=0.5 * (iterative + direct))
+    problem = b.finite(b.bottom, memory_limit=0.5 * (iterative + direct))
     assert problem.solver.preconditioner.name == "iterative"
     assert problem.solver.reason == "hopeful; the analysis found that the factors need more"
     found, expected = (
-        _converged(p.solve([top])).displacement for p in (problem, _problem(b, _bottom(b), solver="direct"))
+        _converged(p.solve([top])).displacement for p in (problem, b.finite(b.bottom, solver="direct"))
     )
     assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
 
 
 def test_nodal_arrays_that_make_no_sense_are_refused(block: Body) -> None:
-    problem = block.problem(_bottom(block))
+    problem = block.problem(block.bottom)
     good = np.zeros((1, problem.mesh.n_nodes, 3))
     bad = good.copy()
     bad[0, -1, 2] = np.inf

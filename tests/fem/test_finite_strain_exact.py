@@ -19,11 +19,10 @@ from skfem.helpers import dot
 
 from fem_reference.exact import ThickSphere
 from fem_reference.exact_finite_strain import InflatedThickSphere
-from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.mesh import TetMesh
 from solver_common.quadrature import facet_quadrature
 from tests.fem.convergence import Convergence, inner_error, relative_l2
-from tests.fem.shapes import Body, cube, pressed_shell
+from tests.fem.shapes import cube, pressed_shell
 from tests.verification.records import Verified
 
 Array = np.ndarray
@@ -39,10 +38,6 @@ a_manufactured = pytest.mark.anchor(
     "manufactured solution, finite strain",
     "Roache 2002, doi 10.1115/1.1436090; orders of Taylor and Hood 1973, doi 10.1016/0045-7930(73)90027-3",
 )
-
-
-def _problem(b: Body, held: Array, **options: object) -> FiniteStrainProblem:
-    return FiniteStrainProblem(*b.arrays, held=held, **options)  # type: ignore[arg-type]
 
 
 def _components_first(f: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -84,7 +79,7 @@ def test_inflated_sphere(poisson_ratio: float, verified: Verified) -> None:
     )
     for n in (4, 8):
         b, inner = pressed_shell(n)
-        problem = _problem(b, b.surface == 0.0, youngs_modulus=1.0, poisson_ratio=poisson_ratio)
+        problem = b.finite(b.surface == 0.0, poisson_ratio=poisson_ratio)
         s = problem.solve([b.load(exact.pressure * inner)])
         assert s.status[0].ok, s.status
         record.add(1.0 / n, inner_error(b, s.displacement[0], float(exact.radial_displacement(1.0))))
@@ -136,7 +131,7 @@ def test_inflated_sphere_without_its_geometry_error(poisson_ratio: float, verifi
     for n in (4, 8):
         b, _ = pressed_shell(n)
         everywhere = np.ones(len(b.surface), dtype=bool)
-        problem = _problem(b, everywhere, youngs_modulus=1.0, poisson_ratio=poisson_ratio)
+        problem = b.finite(everywhere, poisson_ratio=poisson_ratio)
         given = displacement(problem.mesh.node_points)
         fields = problem.solve_nodal(np.zeros((1, *given.shape)), given[None])
         basis, _ = problem.mesh.bases(intorder=6)
@@ -247,8 +242,8 @@ def _manufactured_errors(case: Manufactured, n: int) -> tuple[float, float]:
     b = cube(n, distort=0.1)
     held = b.surface[:, 2] < 1.0
     held |= (b.surface[:, :2] == 0.0).any(axis=1) | (b.surface[:, :2] == 1.0).any(axis=1)
-    problem = _problem(
-        b, held, youngs_modulus=2.0 * (1.0 + case.poisson_ratio), poisson_ratio=case.poisson_ratio
+    problem = b.finite(
+        held, youngs_modulus=2.0 * (1.0 + case.poisson_ratio), poisson_ratio=case.poisson_ratio
     )
     mesh = problem.mesh
     fields = problem.solve_nodal(_nodal_forces(mesh, case)[None], case.displacement(mesh.node_points)[None])

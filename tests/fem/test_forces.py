@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from fem_reference.condensed import CondensedProblem
-from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.forces import line_forces, region_forces, traction_forces
 from fem_reference.loads import independent_loads
 from fem_reference.mesh import TetMesh
@@ -100,8 +99,8 @@ def test_pure_bending_is_exact(verified: Verified) -> None:
     problem = b.problem(held, poisson_ratio=0.3)
     end = b.facets_where(lambda x: x[:, 0] > 4.0 - 1e-9)
     # sigma_x = M z / I
-    traction = np.zeros_like(problem.mesh.facet_points)
-    traction[end, :, 0] = 0.01 * 12.0 * problem.mesh.facet_points[end, :, 2]
+    traction = np.zeros_like(b.quadrature_points)
+    traction[end, :, 0] = 0.01 * 12.0 * b.quadrature_points[end, :, 2]
     s = problem.solve([_with(b, traction_forces(problem.mesh, traction))])
     # u = k (x z, -nu y z, -(x^2 + nu (z^2 - y^2))/2), k = M / (E I), I = 1/12
     x, y, z = b.surface.T
@@ -123,7 +122,7 @@ def test_twist_of_a_square_bar(verified: Verified) -> None:
     problem = b.problem(b.surface[:, 0] == 0.0, poisson_ratio=0.3)
     end = b.facets_where(lambda x: x[:, 0] > 6.0 - 1e-9)
     # a traction across the radius, over the polar moment 1/6
-    turn = np.cross([0.01 * 6.0, 0.0, 0.0], problem.mesh.facet_points)
+    turn = np.cross([0.01 * 6.0, 0.0, 0.0], b.quadrature_points)
     s = problem.solve([_with(b, traction_forces(problem.mesh, turn * end[:, None, None]))])
     assert_allclose(np.cross(b.surface, s.reaction_force[0]).sum(axis=0), [-0.01, 0, 0], rtol=0, atol=1e-8)
 
@@ -144,16 +143,14 @@ def test_twist_of_a_square_bar(verified: Verified) -> None:
 
 def test_combinations_and_finite_strain_take_given_forces() -> None:
     b = cube(2, distort=0.25)
-    problem = b.problem(b.surface[:, 2] == 0.0)
-    top = b.facets_where(lambda x: x[:, 2] == 1.0)
+    problem = b.problem(b.bottom)
+    top = b.top
     shear = region_forces(problem.mesh, top, (1e-6, 2e-6, 0.0))
     loads = [_with(b, None, pressure=1e-6 * top), _with(b, shear), _with(b, 2.0 * shear, pressure=3e-6 * top)]
     assert len(independent_loads(loads)[0]) == 2
     s = problem.solve(loads)
     assert_allclose(s.displacement[2], 3.0 * s.displacement[0] + 2.0 * s.displacement[1], rtol=0, atol=1e-18)
-    finite = FiniteStrainProblem(
-        *b.arrays, held=b.surface[:, 2] == 0.0, youngs_modulus=1.0, poisson_ratio=0.3
-    ).solve(loads[1:2])
+    finite = b.finite(b.bottom).solve(loads[1:2])
     assert_allclose(
         finite.displacement[0], s.displacement[1], rtol=0, atol=1e-4 * np.abs(s.displacement).max()
     )

@@ -21,14 +21,6 @@ def block() -> Body:
     return cube(3, distort=0.2)
 
 
-def _bottom(b: Body) -> np.ndarray:
-    return b.surface[:, 2] < 1e-12
-
-
-def _top(b: Body) -> np.ndarray:
-    return b.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12).astype(float)
-
-
 @pytest.mark.anchor("outputs: reactions balance the load, linear", "equilibrium of forces")
 @pytest.mark.parametrize(
     ("element", "poisson_ratio"),
@@ -40,7 +32,7 @@ def test_reactions_balance_pressure_and_weight(
     block: Body, solver: str, element: str, poisson_ratio: float, verified: Verified
 ) -> None:
     problem = block.problem(
-        _bottom(block),
+        block.bottom,
         poisson_ratio=poisson_ratio,
         element=element,
         solver=solver,
@@ -48,20 +40,20 @@ def test_reactions_balance_pressure_and_weight(
         youngs_modulus=50.0,
     )
     pressure = np.random.default_rng(0).uniform(0.0, 2.0, (len(block.triangles), 6))
-    given = np.where(_bottom(block)[:, None], 0.01 * np.sin(7.0 * block.surface), 0.0)
+    given = np.where(block.bottom[:, None], 0.01 * np.sin(7.0 * block.surface), 0.0)
     s = problem.solve([block.load(pressure, given, (1.0, 2.0, -9.81))])
     q = np.array([0.223381589678011] * 3 + [0.109951743655322] * 3)
     applied = -block.area_vectors.T @ (pressure @ q) + 2.0 * np.array([1.0, 2.0, -9.81])  # volume one
     assert s.status[0].ok
     unbalanced = (s.reaction_force[0].sum(axis=0) + applied) / np.abs(applied).max()
     verified.at_most(f"{solver}, {element}, nu = {poisson_ratio}: share of the load", unbalanced, 1e-9)
-    assert_array_equal(s.reaction_force[0][~_bottom(block)], 0.0)
-    assert_allclose(s.displacement[0][_bottom(block)], given[_bottom(block)], rtol=0, atol=1e-16)
+    assert_array_equal(s.reaction_force[0][~block.bottom], 0.0)
+    assert_allclose(s.displacement[0][block.bottom], given[block.bottom], rtol=0, atol=1e-16)
 
 
 @pytest.mark.parametrize("solver", ["direct", "iterative"])
 def test_many_loads_equal_one_by_one_and_superpose(block: Body, solver: str) -> None:
-    problem = block.problem(_bottom(block), poisson_ratio=0.4999, solver=solver, density=1.0)
+    problem = block.problem(block.bottom, poisson_ratio=0.4999, solver=solver, density=1.0)
     rng = np.random.default_rng(1)
     loads = [
         block.load(
@@ -168,10 +160,10 @@ def test_where_the_body_lies_does_not_matter(block: Body, verified: Verified) ->
     moved = Body(
         block.points @ turn.T + [3.0, -2.0, 5.0], block.tetrahedra, block.surface_nodes, block.triangles
     )
-    load = block.load(_top(block))
+    load = block.load(1.0 * block.top)
     for poisson_ratio in (0.3, 0.5):
-        one = block.problem(_bottom(block), poisson_ratio=poisson_ratio).solve([load])
-        other = moved.problem(_bottom(block), poisson_ratio=poisson_ratio).solve([load])
+        one = block.problem(block.bottom, poisson_ratio=poisson_ratio).solve([load])
+        other = moved.problem(block.bottom, poisson_ratio=poisson_ratio).solve([load])
         scale = np.abs(one.displacement).max()
         title = f"linear, body turned and moved, nu = {poisson_ratio}: displacement"
         verified.at_most(title, (other.displacement @ turn - one.displacement) / scale, 1e-10)
@@ -182,7 +174,7 @@ def test_a_rigid_support_motion_moves_the_body_rigidly(block: Body, verified: Ve
     spin = np.array([[0.0, -0.3, 0.2], [0.3, 0.0, -0.1], [-0.2, 0.1, 0.0]])
     rigid = block.surface @ spin.T + [1.0, 2.0, 3.0]
     for element, poisson_ratio in (("P2-P1", 0.5), ("P2", 0.3), ("P1", 0.3)):
-        problem = block.problem(_bottom(block), poisson_ratio=poisson_ratio, element=element)
+        problem = block.problem(block.bottom, poisson_ratio=poisson_ratio, element=element)
         s = problem.solve([block.load(prescribed=rigid)])
         title = f"linear, {element}, support turned and moved: displacement"
         verified.at_most(title, s.displacement[0] - rigid, 1e-11)
@@ -190,8 +182,8 @@ def test_a_rigid_support_motion_moves_the_body_rigidly(block: Body, verified: Ve
 
 
 def test_a_load_that_is_not_reached_is_no_success(block: Body) -> None:
-    problem = block.problem(_bottom(block), poisson_ratio=0.4999999, element="P2", solver="direct")
-    s = problem.solve([block.load(_top(block))])
+    problem = block.problem(block.bottom, poisson_ratio=0.4999999, element="P2", solver="direct")
+    s = problem.solve([block.load(1.0 * block.top)])
     assert float(s.parameters["relative_residual"]) > 1e-9
     assert s.status[0].code == "not-converged"
     assert "P2-P1" in s.status[0].remedy
@@ -213,7 +205,7 @@ def test_a_load_that_is_not_reached_is_no_success(block: Body) -> None:
 )
 def test_bad_settings_are_told(block: Body, change: dict[str, object], words: str) -> None:
     with pytest.raises(SolverError, match=words) as caught:
-        block.problem(_bottom(block), **change)
+        block.problem(block.bottom, **change)
     assert caught.value.status.remedy
     assert not caught.value.status.ok
 
@@ -222,7 +214,7 @@ def test_a_direct_solver_that_fails_is_not_offered_as_the_remedy(
     block: Body, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for solver, offered in (("direct", False), ("iterative", True)):
-        problem = block.problem(_bottom(block), solver=solver)
+        problem = block.problem(block.bottom, solver=solver)
         monkeypatch.setattr(problem.solver, "tolerance", 0.0)
         status = problem.solve([block.load(1.0)]).status[0]
         assert status.code == "not-converged"
@@ -230,8 +222,8 @@ def test_a_direct_solver_that_fails_is_not_offered_as_the_remedy(
 
 
 def test_bad_loads_are_told(block: Body) -> None:
-    problem = block.problem(_bottom(block))
-    good = block.load(_top(block))
+    problem = block.problem(block.bottom)
+    good = block.load(1.0 * block.top)
     infinite = np.array(good.prescribed)
     infinite[0, 0] = np.inf
     for load, words in (

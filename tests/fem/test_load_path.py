@@ -21,13 +21,13 @@ def block() -> Body:
     return cube(1)
 
 
-def _problem(b: Body) -> FiniteStrainProblem:
-    held = b.surface[:, 2] == 0.0
-    return FiniteStrainProblem(*b.arrays, held=held, youngs_modulus=1.0, poisson_ratio=0.45)
+def _at_rest(b: Body) -> FiniteStrainProblem:
+    """One that has solved nothing yet."""
+    return b.finite(b.bottom, poisson_ratio=0.45)
 
 
 def _pulled(b: Body, pressure: float) -> Load:
-    return b.load(-pressure * b.facets_where(lambda x: x[:, 2] == 1.0))
+    return b.load(-pressure * b.top)
 
 
 def _assert_same(one: Solution, other: Solution) -> None:
@@ -38,10 +38,10 @@ def _assert_same(one: Solution, other: Solution) -> None:
 
 
 def test_each_load_gives_what_it_gives_from_rest_and_is_nearer(block: Body) -> None:
-    problem, path = _problem(block), LoadPath()
+    problem, path = _at_rest(block), LoadPath()
     loads = [_pulled(block, 0.4 * share) for share in SHARES]
     short = [problem.solve([load], OUTPUTS, path) for load in loads]
-    long = [_problem(block).solve([load], OUTPUTS) for load in loads]
+    long = [_at_rest(block).solve([load], OUTPUTS) for load in loads]
     for one, other in zip(short, long, strict=True):
         _assert_same(one, other)
     steps = np.array(
@@ -53,7 +53,7 @@ def test_each_load_gives_what_it_gives_from_rest_and_is_nearer(block: Body) -> N
 
 def test_the_end_of_the_way_is_looked_for_once(block: Body) -> None:
     """Too small a load is no end."""
-    problem, path = _problem(block), LoadPath()
+    problem, path = _at_rest(block), LoadPath()
     assert problem.solve([_pulled(block, 1e-17)], OUTPUTS, path).status[0].code == "too-small"
     stopped = problem.solve([_pulled(block, 20.0)], OUTPUTS, path)
     assert stopped.status[0].code in {"not-converged", "inverted"}
@@ -63,4 +63,4 @@ def test_the_end_of_the_way_is_looked_for_once(block: Body) -> None:
     assert again.iterations[0] == 0
     assert_allclose(again.displacement, stopped.displacement, rtol=1e-14, atol=0)
     below = _pulled(block, 0.4 * end)  # nearer to the end the path branches
-    _assert_same(problem.solve([below], OUTPUTS, path), _problem(block).solve([below], OUTPUTS))
+    _assert_same(problem.solve([below], OUTPUTS, path), _at_rest(block).solve([below], OUTPUTS))

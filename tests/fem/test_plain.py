@@ -21,19 +21,15 @@ from tests.fem.shapes import FIELDS, Body, assert_same, cube
 FIBRES = {"fibre_direction": [1.0, 2.0, 0.5], "contrast": 5.0}
 
 
-def base(b: Body) -> NDArray[np.bool_]:
-    return np.abs(b.surface[:, 2]) < 1e-12
-
-
 def rollers(b: Body) -> NDArray[np.bool_]:
     """Single components held at parts of two faces of the cube, some of them at lone vertices."""
     x, y, _ = b.surface.T
-    return np.stack([base(b) & (x < 0.5), base(b) & (y < 0.8), base(b) | (x < 1e-12)], axis=1)
+    return np.stack([b.bottom & (x < 0.5), b.bottom & (y < 0.8), b.bottom | (x < 1e-12)], axis=1)
 
 
 @pytest.mark.parametrize("fibres", [{}, FIBRES], ids=["isotropic", "fibres"])
 @pytest.mark.parametrize("nu", [-0.4, 0.5])
-@pytest.mark.parametrize("support", [base, rollers])
+@pytest.mark.parametrize("support", [lambda b: b.bottom, rollers], ids=["base", "rollers"])
 def test_linear_equals_the_fast_path(support, nu: float, fibres: dict[str, object]) -> None:
     b = cube(2, distort=0.25)
     rng = np.random.default_rng(0)
@@ -46,7 +42,7 @@ def test_linear_equals_the_fast_path(support, nu: float, fibres: dict[str, objec
     assert_same(plain, fast, 1e-10)
     assert all(np.abs(getattr(fast, name)).max() > 0.0 for name in FIELDS)
     unknowns = fast.parameters["dofs"]
-    if support is base:  # where nodes are held whole, the fast path takes them out as well
+    if support is not rollers:  # where nodes are held whole, the fast path takes them out as well
         assert plain.parameters["dofs"] == unknowns
 
 
@@ -61,10 +57,8 @@ def two_parts(b: Body) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
 
 def test_moduli_of_each_tetrahedron_and_a_pressure_that_jumps_are_the_fast_paths() -> None:
     b = cube(2, distort=0.25)
-    load = b.load(
-        np.where(b.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12), 300.0, 0.0), gravity=(1.0, 2.0, 3.0)
-    )
-    settings = {**two_parts(b), "density": 300.0, "held": base(b)}
+    load = b.load(np.where(b.top, 300.0, 0.0), gravity=(1.0, 2.0, 3.0))
+    settings = {**two_parts(b), "density": 300.0, "held": b.bottom}
     plain = PlainLinearProblem(*b.arrays, **settings)
     fast = LinearProblem(*b.arrays, **settings, solver="direct")
     assert_same(plain.solve([load]), fast.solve([load]), 1e-10)
@@ -73,7 +67,7 @@ def test_moduli_of_each_tetrahedron_and_a_pressure_that_jumps_are_the_fast_paths
     assert len(found.pressure) > len(b.points), "the vertices between the parts have two pressures"
     small = cube(1)
     load = small.load(100.0, gravity=(1.0, 2.0, 3.0))
-    settings = {**two_parts(small), "density": 300.0, "held": base(small)}
+    settings = {**two_parts(small), "density": 300.0, "held": small.bottom}
     plain_large = PlainFiniteStrainProblem(*small.arrays, **settings).solve([load])
     fast_large = FiniteStrainProblem(*small.arrays, **settings, tolerance=1e-11).solve([load])
     assert_same(plain_large, fast_large, 1e-9)
@@ -87,7 +81,7 @@ def test_springs_and_given_forces_are_the_fast_paths() -> None:
         ElasticSupport(side, rng.uniform(1e3, 1e4, len(side))),
         ElasticSupport(side | top, 500.0, "full"),
     ]
-    held = base(b) & (b.surface[:, 0] < 0.5)
+    held = b.bottom & (b.surface[:, 0] < 0.5)
     settings = {"youngs_modulus": 3000.0, "poisson_ratio": 0.45, "held": held, "elastic_supports": supports}
     fast = LinearProblem(*b.arrays, **settings, solver="direct")
     forces = traction_forces(fast.mesh, np.where(top[:, None, None], (200.0, -100.0, 150.0), 0.0))
@@ -100,7 +94,7 @@ def test_springs_and_given_forces_are_the_fast_paths() -> None:
 def test_a_stiffness_along_fibres_follows_youngs_modulus() -> None:
     b = cube(1)
     load = b.load(prescribed=np.where(b.surface[:, [2]] > 1.0 - 1e-12, (0.01, 0.0, 0.02), 0.0))
-    held = base(b) | (b.surface[:, 2] > 1.0 - 1e-12)
+    held = b.bottom | (b.surface[:, 2] > 1.0 - 1e-12)
     young = np.linspace(1.0, 3.0, len(b.tetrahedra))
     settings = {"youngs_modulus": young, "poisson_ratio": 0.4, "held": held, **FIBRES}
     plain = PlainLinearProblem(*b.arrays, **settings).solve([load])
@@ -116,7 +110,7 @@ def test_a_stiffness_along_fibres_follows_youngs_modulus() -> None:
 )
 def test_finite_strain_equals_the_fast_path(nu: float, pressure: str, fibres: dict[str, object]) -> None:
     b = cube(1)
-    top = b.facets_where(lambda x: x[:, 2] > 1.0 - 1e-12)
+    top = b.top
     press = np.where(top[:, None], np.random.default_rng(0).uniform(200.0, 400.0, (len(top), 6)), 0.0)
     weight = (0.4, -0.7, 0.5)
     loads = [b.load(0.3 * press, gravity=weight), b.load(press, prescribed=(0.1, 0.2, -0.1), gravity=weight)]
@@ -124,7 +118,7 @@ def test_finite_strain_equals_the_fast_path(nu: float, pressure: str, fibres: di
         "youngs_modulus": 3000.0,
         "poisson_ratio": nu,
         "density": 300.0,
-        "held": base(b),
+        "held": b.bottom,
         "pressure": pressure,
         **fibres,
     }
@@ -139,16 +133,18 @@ def test_finite_strain_equals_the_fast_path(nu: float, pressure: str, fibres: di
 
 def test_a_load_beyond_the_first_attempt_is_reached_in_substeps_or_refused() -> None:
     b = cube(1)
-    settings = {"youngs_modulus": 1.0, "poisson_ratio": 0.45, "held": base(b) | (b.surface[:, 2] > 1 - 1e-12)}
+    settings = {
+        "youngs_modulus": 1.0,
+        "poisson_ratio": 0.45,
+        "held": b.bottom | (b.surface[:, 2] > 1 - 1e-12),
+    }
     top = b.surface[:, 2] > 1.0 - 1e-12
     problem = PlainFiniteStrainProblem(*b.arrays, **settings)
 
     def pressed(depth: float):
         return b.load(prescribed=np.where(top[:, None], (0.0, 0.0, -depth), 0.0))
 
-    deep = problem.solve([pressed(0.6)])
-    assert deep.status[0].ok
-    through = problem.solve([pressed(0.1), pressed(1.2), pressed(0.1)], frozenset({"volume"}))
+    through = problem.solve([pressed(0.6), pressed(1.2), pressed(0.1)], frozenset({"volume"}))
     assert [s.code for s in through.status] == ["converged", "not-converged", "not-reached"]
     assert 0.0 < through.scalars["load_factor"][1] < 1.0
     assert np.isnan(through.displacement[2]).all()
@@ -160,7 +156,7 @@ def test_a_load_beyond_the_first_attempt_is_reached_in_substeps_or_refused() -> 
 )
 def test_every_problem_refuses_alike(kind: type) -> None:
     b = cube(1)
-    settings = {"youngs_modulus": 1.0, "poisson_ratio": 0.3, "held": base(b)}
+    settings = {"youngs_modulus": 1.0, "poisson_ratio": 0.3, "held": b.bottom}
     all_over = np.ones(len(b.surface), dtype=bool)
     for change, words in (
         ({"held": ~all_over}, "move freely"),

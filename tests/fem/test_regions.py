@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from fem_reference.exact import LayeredSphere, ThickSphere
 from fem_reference.exact_finite_strain import InflatedThickSphere
-from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.solution import SolverError
 from tests.fem.convergence import Convergence, inner_error, radial_error
 from tests.fem.shapes import Body, cube, pressed_shell
@@ -105,9 +104,8 @@ def test_two_layer_sphere_at_finite_strain(verified: Verified) -> None:
     for n in (4, 6):
         b, pressed = pressed_shell(n)
         inside = _inside(b)
-        problem = FiniteStrainProblem(
-            *b.arrays,
-            held=b.surface == 0.0,
+        problem = b.finite(
+            b.surface == 0.0,
             youngs_modulus=np.where(inside, 1.0, 3.0),
             poisson_ratio=0.5,
             parts=inside.astype(int),
@@ -144,4 +142,4 @@ def test_moduli_that_make_no_sense_are_refused() -> None:
         ({"parts": [0, 1]}, "give a whole number for each of 6 tetrahedra"),
     ):
         with pytest.raises(SolverError, match=words):
-            b.problem(b.surface[:, 2] == 0.0, **options)
+            b.problem(b.bottom, **options)

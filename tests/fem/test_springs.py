@@ -10,7 +10,6 @@ from scipy.optimize import brentq
 
 from fem_reference.condensed import CondensedProblem
 from fem_reference.exact import LayeredSphere
-from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.solution import SolverError
 from fem_reference.springs import ElasticSupport
 from tests.fem.convergence import Convergence, radial_error
@@ -31,10 +30,6 @@ def _bottom(b: Body) -> Array:
     return b.facets_where(lambda x: np.abs(x[:, 2]) < 1e-12)
 
 
-def _top(b: Body) -> Array:
-    return b.facets_where(lambda x: np.abs(x[:, 2] - 1.0) < 1e-12)
-
-
 def _rollers(b: Body) -> Array:
     """Planes x = 0 and y = 0 slide."""
     return (b.surface < 1e-12) & [True, True, False]
@@ -52,7 +47,7 @@ def test_bar_on_springs(poisson_ratio: float, solver: str, verified: Verified) -
         elastic_supports=[ElasticSupport(_bottom(b), 0.7)],
         solver=solver,
     )
-    s = problem.solve([b.load(0.2 * _top(b))])
+    s = problem.solve([b.load(0.2 * b.top)])
     exact = 0.05 * b.surface * [poisson_ratio, poisson_ratio, -1.0]
     exact[:, 2] -= 0.2 / 0.7
     title = f"{solver}, nu = {poisson_ratio}"
@@ -71,7 +66,7 @@ def test_springs_alone_carry_a_body(verified: Verified) -> None:
         poisson_ratio=0.0,
         elastic_supports=[ElasticSupport(_bottom(b), 0.5, "full")],
     )
-    load = b.load(0.2 * _top(b))
+    load = b.load(0.2 * b.top)
     s = problem.solve([load])
     exact = np.outer(-0.2 * b.surface[:, 2] - 0.4, [0.0, 0.0, 1.0])
     verified.at_most("full springs, nothing held: displacement", s.displacement[0] - exact, 1e-11)
@@ -86,22 +81,18 @@ def test_energy_where_springs_meet_nodes_that_move() -> None:
     """Condensed and not: the body's energy is the work of the loads less that stored in springs."""
     b = cube(2, distort=0.25)
     side = b.facets_where(lambda x: np.abs(x[:, 0] - 1.0) < 1e-12)
-    base = b.surface[:, 2] == 0.0
+    base = b.bottom
     motion = np.outer(base, [0.1, 0.0, -0.05])
     problem = b.problem(base, elastic_supports=[ElasticSupport(side, 3.0, "full")])
-    load = b.load(0.2 * _top(b), prescribed=motion)
+    load = b.load(0.2 * b.top, prescribed=motion)
     s = problem.solve([load])
     top = np.abs(b.surface[:, 2] - 1.0) < 1e-12
     frame = CondensedProblem(problem, top, motions=motion[None]).solve([load])
     assert_allclose(frame.energy, s.energy, rtol=1e-10, atol=0)
     assert_allclose(frame.reaction_force, s.reaction_force, rtol=0, atol=1e-11)
-    small = FiniteStrainProblem(
-        *b.arrays,
-        held=base,
-        youngs_modulus=1.0,
-        poisson_ratio=0.3,
-        elastic_supports=[ElasticSupport(side, 3.0, "full")],
-    ).solve([b.load(0.2e-6 * _top(b), prescribed=1e-6 * motion)])
+    small = b.finite(base, elastic_supports=[ElasticSupport(side, 3.0, "full")]).solve(
+        [b.load(0.2e-6 * b.top, prescribed=1e-6 * motion)]
+    )
     assert_allclose(small.energy, 1e-12 * s.energy, rtol=1e-5, atol=0)
 
 
@@ -109,15 +100,14 @@ def test_energy_where_springs_meet_nodes_that_move() -> None:
 def test_bar_on_springs_at_finite_strain(verified: Verified) -> None:
     """Dead pressure on an incompressible bar: P = G (l - l^-2), and the springs give way by P / k."""
     b = cube(2, distort=0.25)
-    problem = FiniteStrainProblem(
-        *b.arrays,
-        held=_rollers(b),
+    problem = b.finite(
+        _rollers(b),
         youngs_modulus=3.0,
         poisson_ratio=0.5,
         pressure="dead",
         elastic_supports=[ElasticSupport(_bottom(b), 2.0)],
     )
-    s = problem.solve([b.load(0.8 * _top(b))])
+    s = problem.solve([b.load(0.8 * b.top)])
     assert s.status[0].ok
     stretch = brentq(lambda length: length - length**-2 + 0.8, 0.3, 1.0, xtol=1e-15)
     exact = b.surface * [stretch**-0.5 - 1.0, stretch**-0.5 - 1.0, stretch - 1.0]
@@ -150,7 +140,7 @@ def test_sphere_in_an_elastic_bed(poisson_ratio: float, verified: Verified) -> N
 
 def test_springs_that_make_no_sense_are_refused() -> None:
     b = cube(1)
-    base, nothing = b.surface[:, 2] == 0.0, np.zeros(len(b.surface), dtype=bool)
+    base, nothing = b.bottom, np.zeros(len(b.surface), dtype=bool)
     bottom = _bottom(b)
     for held, support, words in (
         (base, ElasticSupport(bottom[1:], 1.0), r"give a mask of shape \(12,\)"),
