@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 from solver_common.arrays import Array
 
 from ..verdict.digest import REFERENCE, Digest
-from ..verdict.formatting import listed, plain, quantity, short_percent
+from ..verdict.formatting import listed, plain, short_percent
 from ..verdict.palette import COLOURS
 from .blocks import Figure
 
@@ -179,27 +179,6 @@ def panel(x_label: str, y_label: str) -> tuple[Canvas, Axes]:
     return page, axes
 
 
-def draw(
-    axes: Axes,
-    model: int,
-    name: str,
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    cases: Sequence[int] | None = None,
-    named: bool = True,
-    **look: Any,
-) -> None:
-    """The points of a model, joined where `look` says nothing else, in its colour; see `tell`.
-
-    Of a line through many points every k-th is marked.
-    """
-    style = {"color": colour(model), "marker": marker(model), "linestyle": line(model), **look}
-    every = 1 if style["linestyle"] == "none" else max(1, math.ceil(len(np.atleast_1d(x)) / _MOST_MARKED))
-    (curve,) = axes.plot(x, y, markevery=every, **style)
-    tell(curve, name, cases[::every] if cases is not None else None, named=named)
-
-
 @dataclass(frozen=True)
 class Curve:
     """The points of one model: (K,) x and y, the case of each where they have one, further looks of the line.
@@ -251,7 +230,20 @@ def lines(
                     axes.vlines(curve.x, *curve.band, color=colour(number), alpha=0.6, linewidth=1.0)
                 else:
                     axes.fill_between(curve.x, *curve.band, color=colour(number), alpha=0.14, linewidth=0)
-            draw(axes, number, curve.model, curve.x, curve.y, cases=curve.cases, **curve.look)
+            look = {
+                "color": colour(number),
+                "marker": marker(number),
+                "linestyle": line(number),
+                **curve.look,
+            }
+            joined = look["linestyle"] != "none"
+            every = max(1, math.ceil(len(np.atleast_1d(curve.x)) / _MOST_MARKED)) if joined else 1
+            (drawn,) = axes.plot(curve.x, curve.y, markevery=every, **look)
+            # no letter that an attribute would need escaped
+            plain = quote(curve.model.encode("utf-8", "replace"))
+            drawn.set_gid(f"{ID}{plain} {','.join(map(str, (curve.cases or ())[::every]))}")
+            if joined:
+                drawn.set_label(curve.model)
         finish(axes)
         name_curves(axes)
         for_script, svg = axes_for_script(axes), svg_of(page)
@@ -264,29 +256,12 @@ def lines(
     return Figure(for_the_page(svg, f"{title}: {words}.", salt, for_script), title)
 
 
-def limit_line(axes: Axes, allowed: float) -> None:
-    """What a study accepts of an error, across the chart, named."""
-    if allowed > 0.0:
-        axes.axhline(allowed, linestyle="-.", color=colour(REFERENCE), linewidth=1.0)
-        _name_line(axes, (0.995, allowed), axes.get_yaxis_transform(), "accepted")
-
-
-def own_line(axes: Axes, own: float) -> None:
-    """The error of the reference itself, across the chart, named."""
-    if own > 0.0:
-        axes.axhline(own, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
-        _name_line(axes, (0.995, own), axes.get_yaxis_transform(), "reference's own")
-
-
-def budget_line(axes: Axes, seconds: float, name: str) -> None:
-    """A time that a frame may take, up the chart, named."""
-    axes.axvline(seconds, linestyle=":", color=colour(REFERENCE), linewidth=1.0)
-    _name_line(axes, (seconds, 0.99), axes.get_xaxis_transform(), name, rotation=90, va="top")
-
-
-def _name_line(axes: Axes, at: tuple[float, float], transform: Any, name: str, **look: Any) -> None:
-    style = {"va": "bottom", "ha": "right", "fontsize": 7.0, "color": colour(REFERENCE), **look}
-    axes.text(*at, name, transform=transform, **style)
+def level_line(axes: Axes, height: float, name: str, style: str) -> None:
+    """A line across the chart at a height, named; none at one that is not positive or not known."""
+    if height > 0.0:
+        axes.axhline(height, linestyle=style, color=colour(REFERENCE), linewidth=1.0)
+        look: Any = {"va": "bottom", "ha": "right", "fontsize": 7.0, "color": colour(REFERENCE)}
+        axes.text(0.995, height, name, transform=axes.get_yaxis_transform(), **look)
 
 
 def from_origin(axes: Axes) -> None:
@@ -308,12 +283,6 @@ def percent_axis(axes: Axes, values: ArrayLike) -> None:
         axes.set_ylim(0.0, 1.08 * top if top > 0 else 1.0)
         axes.yaxis.set_major_locator(MaxNLocator(6))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{plain(value * 100)} %"))
-
-
-def time_ticks(axes: Axes) -> None:
-    """Seconds on a logarithmic x axis, named with their prefix."""
-    log_axis(axes, "x")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, "s", 1)))
 
 
 def log_axis(axes: Axes, which: str) -> None:
@@ -365,21 +334,9 @@ def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
 # --- whose curve a curve is: told to the page's script, which shows it under the pointer, and written beside it ---
 
 
-def tell(curve: Line2D, name: str, cases: Sequence[int] | None = None, *, named: bool = True) -> None:
-    """Say whose points these are; `cases` has the number of each point's case, None where it has none of its own.
-
-    Where there is room, the name stands beside the last point, unless `named` is False.
-    """
-    plain = quote(name.encode("utf-8", "replace"))  # no letter that an attribute would need escaped
-    curve.set_gid(f"{ID}{plain} {','.join(map(str, cases or ()))}")
-    if named:
-        curve.set_label(name)
-
-
 def name_curves(axes: Axes) -> None:
-    """Write the names of told curves above or below their last points, where nothing else is drawn."""
-    told = [curve for curve in axes.lines if str(curve.get_gid()).startswith(ID)]
-    curves = [curve for curve in told if not str(curve.get_label()).startswith("_")]
+    """Write the names of joined curves above or below their last points, where nothing else is drawn."""
+    curves = [curve for curve in axes.lines if not str(curve.get_label()).startswith("_")]
     if not 1 < len(curves) <= _MOST_NAMED:
         return
     axes.apply_aspect()
@@ -429,8 +386,7 @@ def axes_for_script(axes: Axes) -> str:
         formatter = axis.get_major_formatter()
         if isinstance(formatter, FixedFormatter):
             continue  # names
-        shown = formatter(1.0)
-        unit = "%" if shown.endswith("%") else "s" if shown.endswith("s") else ""
+        unit = "%" if formatter(1.0).endswith("%") else ""
         start, end = axis.get_view_interval()
         found.append(f' data-{which}="{axis.get_scale()} {start:.6g} {end:.6g} {low:.1f} {high:.1f} {unit}"')
     return "".join(found)

@@ -1,4 +1,4 @@
-"""Errors against swept parameters and load, force against indentation, run time against error: the charts."""
+"""Errors against swept parameters and load, force against indentation: the charts."""
 
 from __future__ import annotations
 
@@ -18,22 +18,18 @@ from ..measures.metrics import DEFORMATION, VECTOR
 from ..measures.pushed import Answer, Pushed
 from ..verdict.acceptance import name_of, pushes
 from ..verdict.digest import DRIFT, REFERENCE, Digest
-from ..verdict.formatting import parameter_name, quantity, scale_of, short_percent, swept_value
+from ..verdict.formatting import parameter_name, quantity, scale_of, swept_value
 from .blocks import Block, Figure, Figures, Section, note
 from .plots import (
     Curve,
-    budget_line,
     colour,
-    draw,
     from_origin,
-    limit_line,
+    level_line,
     lines,
     log_axis,
     name_ticks,
-    own_line,
     percent_axis,
     place,
-    time_ticks,
 )
 
 if TYPE_CHECKING:
@@ -197,8 +193,8 @@ def _chart(
             }
             axes.plot(bars.index, bars, linestyle=style, markevery=-(-len(bars) // 25), **dots)
         elif len(bars):
-            own_line(axes, float(bars.iloc[0]))
-        limit_line(axes, digest.allowed(metric))
+            level_line(axes, float(bars.iloc[0]), "reference's own", "--")
+        level_line(axes, digest.allowed(metric), "accepted", "-.")
         if axis.kind in ("even", "names"):
             name_ticks(axes, axis.ticks)
         elif axis.kind == "log":
@@ -266,64 +262,3 @@ def _force_chart(
     labels = f"{depth} [{length_unit}]", f"{force} [{load_unit}]"
     title = f"{force.capitalize()} against {depth}, {place}"
     return replace(lines(digest, curves, *labels, title, salt, finish=from_origin, told=told), title=place)
-
-
-BUDGETS = {
-    "haptic device, 1 ms": 1e-3,
-    "screen, 16.7 ms": 1.0 / 60.0,
-}  # what may ask for a frame, and its time [s]
-
-
-def run_time_against_error(digest: Digest) -> Section | None:
-    """Time per frame, and set-up as a hollow marker, against the median error; whiskers reach best and worst."""
-    compared = [name for name in digest.compared if digest.costs[name].frame > 0]
-    measures = ((VECTOR, "Displacement error"), (DEFORMATION, "Error in change of shape"))
-    spreads = [digest.spread(name, metric) for name in compared for metric, _ in measures]
-    heights = [height for one in spreads if one for height in (one.best, one.median, one.worst)]
-    figures = [
-        figure
-        for k, (metric, title) in enumerate(measures)
-        if (figure := _pareto(digest, compared, metric, title, heights, f"c{k}"))
-    ]
-    if not figures:
-        return None
-    blocks: list[Block] = [note("cost", len(digest.cases)), Figures(figures, digest.legend)]
-    return Section("cost", "Run time against error", blocks)
-
-
-def _pareto(
-    digest: Digest, compared: Sequence[str], metric: str, title: str, heights: Sequence[float], salt: str
-) -> Figure | None:
-    points = {name: spread for name in compared if (spread := digest.spread(name, metric))}
-    if not points:
-        return None
-    costs, reference = digest.costs, digest.costs.get(str(digest.reference))
-    own, allowed = next(iter(points.values())).median_bar, digest.allowed(metric)
-    look = {"markersize": 6.5, "linestyle": "none"}
-    curves = [
-        Curve(name, [costs[name].frame], [one.median], look=look, band=([one.best], [one.worst]))
-        for name, one in points.items()
-    ]
-
-    def finish(axes: Axes) -> None:
-        for name, spread in points.items():
-            k, frame, setup = digest.colour(name), costs[name].frame, costs[name].set_up
-            if setup > 0 and math.isfinite(setup):
-                axes.plot([frame, setup], [spread.median] * 2, ":", color=colour(k), linewidth=1.0)
-                hollow: dict[str, Any] = {"markerfacecolor": "none", "linestyle": "-"}
-                draw(axes, k, f"{name}, set-up", [setup], [spread.median], named=False, **hollow)
-        if reference is not None and reference.frame > 0:
-            axes.axvline(reference.frame, linestyle="--", color=colour(REFERENCE), linewidth=1.0)
-        own_line(axes, own)
-        limit_line(axes, allowed)
-        for name, seconds in BUDGETS.items():
-            budget_line(axes, seconds, name)
-        time_ticks(axes)
-        percent_axis(axes, [*heights, allowed, *([own] if own > 0.0 else [])])
-
-    def words(curve: Curve) -> str:
-        frame = quantity(costs[curve.model].frame, "s")
-        return f"{frame} per frame at {short_percent(points[curve.model].median)}"
-
-    heading = f"Run time against {title.lower()}"
-    return lines(digest, curves, "time", title, heading, salt, finish=finish, told=words)

@@ -172,7 +172,7 @@ def _figures(digest: Digest, case: CaseResult, found: Measurement, number: int) 
             x, gap = np.arange(len(mine), dtype=float), 0.8 / (1 + len(models))
             names = [(float(k), _named(one, case)) for k, one in enumerate(quantities)]
             title, labels = "Measured", ("measured quantity", "displacement")
-        look = {"markersize": 4} | ({} if force_of else {"named": False, "linestyle": "none"})
+        look = {"markersize": 4} | ({} if force_of else {"linestyle": "none"})
         curves = [
             Curve(model, x + gap * (1 + k), found.simulated[model][mine] / size, look=look)
             for k, model in enumerate(models)
@@ -209,7 +209,7 @@ def inputs(digest: Digest) -> Section | None:
     bent = any(model.bend > STRAIGHT for model in first.models.values())
     blocks: list[Block] = [
         _table(digest, case, first, "inputs", caption),
-        note("inputs", first, bent, _moves_nothing(first)),
+        note("inputs", bent, _moves_nothing(first)),
     ]
     return Section("inputs", "What is not known of the inputs", blocks)
 

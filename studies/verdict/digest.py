@@ -15,7 +15,6 @@ from solver_common.arrays import Array, Index
 
 from ..body.surface_measures import Surface
 from ..machine import processor_name
-from ..measures import uncertainty
 from ..measures.case import CaseResult, Run
 from ..measures.frame import frame
 from ..measures.metrics import DEFORMATION, VECTOR
@@ -67,10 +66,7 @@ class Spread:
     median_bar: float
     worst: float
     worst_bar: float
-    best: float
     cases: int
-    measured: int  # cases whose reference error is known
-    resolved: int  # of these, cases in which it is small enough
 
 
 def spread_of(values: Array, bars: Array) -> Spread | None:
@@ -79,17 +75,13 @@ def spread_of(values: Array, bars: Array) -> Spread | None:
     if not kept.any():
         return None
     values, bars = values[kept], bars[kept]
-    sizes = np.abs(values)
-    worst = int(np.argmax(sizes))
+    worst = int(np.argmax(np.abs(values)))
     return Spread(
         median=float(np.median(values)),
         median_bar=median_known(bars),
         worst=float(values[worst]),
         worst_bar=float(bars[worst]),
-        best=float(values[np.argmin(sizes)]),
         cases=len(values),
-        measured=int(np.isfinite(bars).sum()),
-        resolved=int(uncertainty.is_resolved(values, bars).sum()),
     )
 
 

@@ -157,39 +157,16 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """What is not known of the inputs, and the displacement error beside it: medians over the cases that tell.
-
-    Attributes
-    ----------
-    answer : whose answers it is of: the reference's, else the first model's
-    displacement : standard deviation of its displacement, over it; NaN where not known
-    model, error : the model that the page looks at closely and its displacement error; "" and NaN without one
-    bar : the reference's own part in that error, NaN where not known
-    """
-
-    answer: str
-    displacement: float
-    model: str
-    error: float
-    bar: float
-
-
-@dataclass(frozen=True)
 class Sureness:
-    """How sure the figures are: the reference's own error in the displacement error of `model`, and its levels.
+    """How sure the figures are: the reference's own error in a displacement error, and what its levels do.
 
     Attributes
     ----------
-    bar : median, NaN where not measured
-    cases, resolved : with that error, and where the bar is at most a tenth of it
+    bar : median over the cases, NaN where not measured
     behaviours : behaviour of the mesh levels -> cases
     """
 
-    model: str
     bar: float
-    cases: int
-    resolved: int
     behaviours: dict[str, int]
 
 
@@ -201,23 +178,19 @@ class Verdicts(Mapping[str, Verdict]):
     ----------
     families : family -> its verdict
     reference : what all is held against, "" for nothing
-    cases, lost : with a result; failed, damaged or not run
+    cases : with a result
     not_judged : why nothing at all is judged: one of the four below, "" where something is
     outside, unreached : cases out of the reference's range, and those whose load it did not reach; not counted
     take : what to take for each kind of interaction
     reservations, doubts : what models and reference say against the answers; what speaks against the scene
     small_strain : whether the reference is a linear one
-    rigid : the rigid share of the reference's displacement where that is most of it, else NaN
-    sure : how sure the figures are
-    stopped, failed, damaged, missing : cases in which each model stops; cases without a result, by why
+    sure : how sure the figures are; None where there are none
     measured : the reference and the models that decide, against a measurement, where there is one
-    inputs : what is not known of the inputs; None where not told
     """
 
     families: dict[str, Verdict]
     reference: str = ""
     cases: int = 0
-    lost: int = 0
     not_judged: str = ""
     outside: tuple[Outside, ...] = ()
     unreached: tuple[Unreached, ...] = ()
@@ -225,14 +198,8 @@ class Verdicts(Mapping[str, Verdict]):
     reservations: tuple[Reservation, ...] = ()
     doubts: tuple[Doubt, ...] = ()
     small_strain: bool = False
-    rigid: float = math.nan
     sure: Sureness | None = None
-    stopped: dict[str, int] = field(default_factory=dict)
-    failed: int = 0
-    damaged: int = 0
-    missing: int = 0
     measured: tuple[Measured, ...] = ()
-    inputs: Inputs | None = None
 
     def __getitem__(self, family: str) -> Verdict:
         return self.families[family]
@@ -274,13 +241,10 @@ def _verdicts(digest: Digest) -> Verdicts:
             one = _family(inside, family, unjudged)
         found[family.value] = one
     chosen = [one.model for one in found.values() if one.model]
-    focus, run = str(digest.focus) if digest.focus in digest.compared else "", digest.run
-    rigid = digest.median(reference, "rigid_share")
     return Verdicts(
         families=found,
         reference=reference,
         cases=len(digest.cases),
-        lost=len(run.failed) + len(run.missing),
         not_judged=nothing,
         outside=() if nothing else digest.outside,
         unreached=digest.unreached,
@@ -288,14 +252,8 @@ def _verdicts(digest: Digest) -> Verdicts:
         reservations=tuple(_reservations(digest, chosen)),
         doubts=tuple(_doubts(digest)),
         small_strain=bool(reference) and split(reference)[0] not in FINITE_STRAIN,
-        rigid=rigid if rigid > math.sqrt(0.5) else math.nan,
-        sure=_sureness(digest, focus),
-        stopped=digest.stopped,
-        failed=len(run.failed) - run.damaged,
-        damaged=run.damaged,
-        missing=len(run.missing),
+        sure=_sureness(digest) if nothing in ("", SURFACE_REFERENCE) else None,
         measured=tuple(_measured(digest, chosen)),
-        inputs=_inputs(digest, focus),
     )
 
 
@@ -414,14 +372,11 @@ def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Reservation
 # --- how sure, and what was measured ---
 
 
-def _sureness(digest: Digest, model: str) -> Sureness | None:
-    spread = digest.spread(model, VECTOR) if model else None
-    if spread is None:
-        return None
+def _sureness(digest: Digest) -> Sureness:
     estimates = [uncertainty.stored_estimate(case.reference_error) for case in digest.cases]
     names = [one.behaviour for one in estimates if one is not None]
     behaviours = {name: names.count(name) for name in dict.fromkeys(names)}
-    return Sureness(model, spread.median_bar, spread.cases, spread.resolved, behaviours)
+    return Sureness(median_known(digest.bars(VECTOR)), behaviours)
 
 
 def _measured(digest: Digest, models: Sequence[str]) -> Iterator[Measured]:
@@ -433,19 +388,3 @@ def _measured(digest: Digest, models: Sequence[str]) -> Iterator[Measured]:
         within = [one.within(name)[np.isfinite(one.error(name))] for one in own]
         if values := sum(map(len, within)):
             yield Measured(name, int(sum(map(np.sum, within))), values)
-
-
-def _inputs(digest: Digest, model: str) -> Inputs | None:
-    """None where no case tells how well its inputs are known."""
-    if all(case.inputs is None for case in digest.cases):
-        return None
-    answer = digest.reference or next(iter(digest.models), "")
-    told = np.array([case.inputs is not None for case in digest.cases])
-    spreads = [case.inputs.models.get(answer) for case in digest.cases if case.inputs is not None]
-    return Inputs(
-        answer,
-        median_known(np.array([one.displacement for one in spreads if one is not None])),
-        model,
-        median_known(digest.full_loads(model, VECTOR)[told]),
-        median_known(digest.bars(VECTOR)[told]),
-    )

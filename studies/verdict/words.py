@@ -25,11 +25,10 @@ TITLES = {
 }
 WHY = "Why not?"
 MEASURED = "What does the measurement say?"
-INPUTS = "Is the error larger than what is not known of the inputs?"
 LOAD = "Up to which load?"
 SURE = "How sure is this?"
 BESIDE = (WHY, LOAD)  # what the page has in the table of limits
-ON_TERMINAL = (WHY, MEASURED, INPUTS, LOAD)
+ON_TERMINAL = (WHY, MEASURED, LOAD)
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,6 @@ def told(verdicts: Verdicts) -> Told:
     found = [
         Answer(WHY, [f"{one.model}: {text}" for one in judged for text in why_not(one)]),
         Answer(MEASURED, said("measured", verdicts)),
-        Answer(INPUTS, said("inputs", verdicts.inputs)),
         Answer(LOAD, [*loads, *said("small_strain", verdicts)]),
         Answer(SURE, said("sure", verdicts)),
     ]
