@@ -79,7 +79,7 @@ def study_text(body: str, load: str) -> str:
     about = OWN["bodies"][body]
     geometry, contact = dict(about["geometry"]), load == "contact"
     if "path" in geometry:
-        geometry |= {"shape": "file", "coordinates": "file"}
+        geometry |= {"shape": "file"}
     regions = {"base": about["regions"]["base"]}
     regions |= {"patch": about.get("patch", OWN["patch"])} if contact else {"tip": about["regions"]["tip"]}
     acting = [dict(one) for one in OWN["loads"][load]]

@@ -22,7 +22,7 @@ from ..study.shapes import (
     check_mesh_size,
     check_node_budget,
 )
-from .imported import centred, imported_surface, imported_tetrahedra, named, placed
+from .imported import centred, imported_surface, imported_tetrahedra, named
 from .mesh import Mesh
 from .surface_measures import enclosed_volume, shells
 from .topology import mesh_from_tetrahedra, mesh_from_triangles, surface_only
@@ -108,7 +108,8 @@ def _of_file(geometry: FileBody, volume: bool) -> Mesh:
         return mesh if volume else surface_only(mesh)
     given = imported_surface(geometry, volume=volume)
     mesh = fill_surface(given.points, given.triangles, geometry.mesh_size or 0.0, volume)
-    return placed(replace(mesh, quality={**mesh.quality, **given.repairs}), given.centre)
+    quality = {**mesh.quality, **given.repairs}
+    return replace(mesh, points=mesh.points + given.centre, quality=quality)  # where the file has it
 
 
 def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool = True) -> Mesh:

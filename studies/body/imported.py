@@ -74,7 +74,7 @@ def imported_tetrahedra(geometry: FileBody) -> Mesh:
     repairs = {"scale": scale, **clean.repairs}
     mesh = mesh_from_tetrahedra(points, clean.cells, groups=clean.groups, quality=repairs)
     _check_cavities(geometry, mesh.surface_points, mesh.triangles)
-    return placed(mesh, centre)
+    return replace(mesh, points=mesh.points + centre)  # where the file has it
 
 
 def _check_cavities(geometry: FileBody, points: Array, triangles: Index) -> None:
@@ -85,12 +85,6 @@ def _check_cavities(geometry: FileBody, points: Array, triangles: Index) -> None
         raise separate_pieces(points, triangles, shell, remedy)
     if not shell.any() and geometry.cavities is not None:
         raise MeshError("has no cavity, its surface is one closed piece; leave cavities out", "cavities")
-
-
-def placed(mesh: Mesh, centre: Array) -> Mesh:
-    """A mesh about the origin, moved to the place that its body has in the file."""
-    x, y, z = centre.tolist()
-    return replace(mesh, points=mesh.points + centre, centre=(x, y, z))
 
 
 @contextmanager

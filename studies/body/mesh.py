@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -47,7 +47,6 @@ class Mesh:
     volumes : named sets of tetrahedra, (m,) masks
     quality : figures for the record, such as `worst_sicn` and `surface_distance`
     moved : (N,) largest distance between the surface and that of the file near each node [m], None of other bodies
-    centre : (3,) middle of the bounding box of the file that the body is from [m], zero of other shapes
     """
 
     points: Array
@@ -56,19 +55,11 @@ class Mesh:
     triangles: Index
     groups: Mapping[str, Mask] = field(default_factory=dict)
     quality: Mapping[str, float] = field(default_factory=dict)
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     volumes: Mapping[str, Mask] = field(default_factory=dict)
     moved: Array | None = None
 
     def __post_init__(self) -> None:
         read_only([getattr(self, part.name) for part in fields(self)])
-
-    @cached_property
-    def about_centre(self) -> Mesh:
-        """The same mesh, its centre in the origin."""
-        if not any(self.centre):
-            return self
-        return replace(self, points=self.points - np.array(self.centre), centre=(0.0, 0.0, 0.0))
 
     @cached_property
     def surface_points(self) -> Array:

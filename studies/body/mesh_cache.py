@@ -60,7 +60,6 @@ def read_level(path: Path) -> tuple[Mesh, Index] | None:
         volumes=volumes,
         quality=json.loads(str(stored["quality"])),
         moved=stored.get("moved"),
-        centre=tuple(stored["centre"].tolist()) if "centre" in stored else Mesh.centre,
     )
     return mesh, stored.get("parents", np.empty((0, 2), dtype=np.int64))
 
@@ -73,7 +72,6 @@ def write_mesh(path: Path, mesh: Mesh, parents: Index | None = None) -> None:
         "surface_nodes": mesh.surface_nodes,
         "triangles": mesh.triangles,
         "quality": np.array(json.dumps(dict(mesh.quality), sort_keys=True)),
-        "centre": np.array(mesh.centre),
     }
     if mesh.moved is not None:
         arrays["moved"] = mesh.moved

@@ -95,7 +95,6 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
         tetrahedra=tetrahedra,
         surface_nodes=np.concatenate([mesh.surface_nodes, middles]),
         triangles=np.stack(corners, axis=1).reshape(-1, 3),
-        centre=mesh.centre,
     )
     return refined, np.concatenate([np.column_stack([old, old]), pairs])
 

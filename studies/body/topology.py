@@ -265,7 +265,6 @@ def surface_only(mesh: Mesh) -> Mesh:
         surface,
         groups=mesh.groups,
         quality={**mesh.quality, **surface.quality},
-        centre=mesh.centre,
         moved=mesh.moved,
     )
 

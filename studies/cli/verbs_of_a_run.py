@@ -342,8 +342,6 @@ def _export_run(options: argparse.Namespace, out: Path) -> int:
 
 
 def _export_scene(options: argparse.Namespace, out: Path) -> int:
-    from dataclasses import replace
-
     import numpy as np
 
     from ..body.mesh_cache import mesh_from_cache
@@ -358,7 +356,7 @@ def _export_scene(options: argparse.Namespace, out: Path) -> int:
     history = case.study.load.history
     factor = history[full_load_step(np.array(history))]
     name = f"{study.study.name}: {case.label}" if case.label else study.study.name
-    scene = replace(build_scene(case.study, mesh), mesh=mesh)  # in the coordinates of its file
+    scene = build_scene(case.study, mesh)
     body = Handout(scene, scene.load(factor), " ".join(name.split()), factor)
     with whole_directory(out) as begun:
         names, refused = write_scene(body, begun)

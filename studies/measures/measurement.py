@@ -25,7 +25,6 @@ from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..body.surface_measures import Surface, weighted_norm, without_motions
 from ..scene.measured_points import Placed, place_measured
-from ..scene.regions import of_study
 from ..study.checks import pushing
 from ..study.measured import AXES, Measured, same_load
 from ..study.registry import REFINED
@@ -215,7 +214,6 @@ def hold_against(
     SceneError
         measured points that are not on the mesh.
     """
-    mesh = of_study(mesh, study)
     tables = list(zip(study.measured or (), place_measured(study, mesh), strict=True))
     if not tables:
         return None

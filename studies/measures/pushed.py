@@ -12,7 +12,7 @@ from solver_common.arrays import Array, Mask
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import Surface, facet_area_vectors
-from ..scene.regions import of_study, select
+from ..scene.regions import select
 from ..scene.result import ModelResult
 from ..study.loads import Constraint
 from ..study.schema import Study
@@ -72,7 +72,7 @@ class Pushed:
         """The constraint of a name on a mesh."""
         constraint = next(part for part in study.constraints if part.name == name)
         surface = Surface(mesh.surface_points, mesh.triangles)
-        mask = select(study.regions[constraint.region], of_study(mesh, study))
+        mask = select(study.regions[constraint.region], mesh)
         return cls(study, constraint, mask, surface, np.array(study.load.history))
 
     def curve(self, answer: Answer) -> tuple[Array, Array]:

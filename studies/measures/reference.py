@@ -13,7 +13,7 @@ from solver_common.arrays import Array
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface, deformations, enclosed_volumes, weighted_norm
 from ..scene.inclusions import place_inclusions
-from ..scene.regions import of_study, select
+from ..scene.regions import select
 from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, build_scene
 from ..study.errors import InputError
@@ -111,7 +111,7 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
 
     The body, its supports and its loads stay what they are; a smooth profile is evaluated anew.
     """
-    coarsest = of_study(hierarchy.meshes[0], study)
+    coarsest = hierarchy.meshes[0]
     lines = {part.region for part in study.constraints if part.kind == "line"}
     regions = {name: select(region, coarsest) for name, region in study.regions.items()}
     masks = {

@@ -95,14 +95,12 @@ def _direction(case: CaseResult, kind: str, constraint: Constraint) -> Array | N
 def outlines_of(case: CaseResult) -> list[Outline]:
     """Where the inclusions are: three great circles of a ball, the edges of a box; of a group nothing is known."""
     found = []
-    centred = case.study.geometry.coordinates == "centred"
-    start = (case.points.min(axis=0) + case.points.max(axis=0)) / 2 if centred else np.zeros(3)
     for entry in _inclusions(case):
         if ball := entry.ball:
-            lines = ball.radius * _circles() + np.array(ball.center) + start
+            lines = ball.radius * _circles() + np.array(ball.center)
         elif box := entry.box:
             low, high = np.array(box.min), np.array(box.max)
-            lines = low + _edges() * (high - low) + start
+            lines = low + _edges() * (high - low)
         else:
             continue
         found.append(Outline(entry.name, lines))

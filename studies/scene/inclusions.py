@@ -30,7 +30,7 @@ class PlacedInclusion:
 def place_inclusions(
     study: Study, mesh: Mesh, known: Mapping[str, Mask] | None = None
 ) -> tuple[PlacedInclusion, ...]:
-    """The inclusions of a study on a mesh in its coordinates.
+    """The inclusions of a study on a mesh.
 
     None on a mesh without tetrahedra, where it is only seen that each lies in the body.
 

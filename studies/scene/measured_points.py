@@ -12,7 +12,6 @@ from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..study.measured import Measured, MeasuredPoint
 from ..study.schema import Study
-from .regions import of_study
 from .scene import SceneError
 
 # of the mean edge: how far from the surface a point may be measured; flat facets leave a round body by less
@@ -48,7 +47,7 @@ def place_measured(study: Study, mesh: Mesh) -> list[Placed]:
     SceneError
         a point off the body, a measured surface in another unit, more points than the mesh has nodes.
     """
-    return [_placed(table, k, of_study(mesh, study)) for k, table in enumerate(study.measured or ())]
+    return [_placed(table, k, mesh) for k, table in enumerate(study.measured or ())]
 
 
 def _placed(table: Measured, number: int, mesh: Mesh) -> Placed:

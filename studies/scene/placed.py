@@ -40,7 +40,7 @@ class SceneError(InputError):
 class PlacedConstraint:
     """A constraint on a mesh of N surface nodes and F facets with Q quadrature points each.
 
-    `place` is its own in the study, `nodes` (N,) the mask of its `region`; all in the coordinates of the study.
+    `place` is its own in the study, `nodes` (N,) the mask of its `region`.
     """
 
     constraint: Constraint

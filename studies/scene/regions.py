@@ -1,4 +1,4 @@
-"""Regions of a surface: the nodes that they select on a mesh in the coordinates of its study."""
+"""Regions of a surface: the nodes that they select on a mesh."""
 
 from __future__ import annotations
 
@@ -8,15 +8,10 @@ from solver_common.arrays import Array, Mask
 
 from ..body.mesh import Mesh
 from ..study.errors import MeshError
-from ..study.schema import Ball, Cap, HalfSpace, Region, Study
+from ..study.schema import Ball, Cap, HalfSpace, Region
 
 AXES = {"x": 0, "y": 1, "z": 2}
 _TOLERANCE = 1e-9  # of the body's size: nodes on the border of a region belong to it
-
-
-def of_study(mesh: Mesh, study: Study) -> Mesh:
-    """A mesh in the coordinates of a study: those of its file, or from the middle of the file's bounding box."""
-    return mesh.about_centre if study.geometry.coordinates == "centred" else mesh
 
 
 def select(region: Region, mesh: Mesh) -> Mask:

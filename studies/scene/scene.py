@@ -20,7 +20,7 @@ from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
 from .placed import PlacedConstraint, PlacedIndenter, place_indenter
 from .placed import SceneError as SceneError
-from .regions import body_extent, lies_outside, of_study, select
+from .regions import body_extent, lies_outside, select
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Scene:
 
     Attributes
     ----------
-    mesh : the mesh that all models share, in the coordinates of the study
+    mesh : the mesh that all models share
     tissue : E [Pa], nu, density [kg/m^3]
     parameters : VDM parameters that the study sets, by name; what is left out follows a rule
     overrides : the same for single models, by full model name
@@ -207,7 +207,7 @@ def build_scene(
     SceneError
         a region that selects nothing, or contact on a node that is held.
     """
-    mesh, regions = of_study(mesh, study), study.regions
+    regions = study.regions
     if masks is None:
         masks = {name: select(region, mesh) for name, region in regions.items()}
     acting = []

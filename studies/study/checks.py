@@ -299,36 +299,10 @@ def _check_regions(study: Study) -> Iterator[Finding]:
         if region.group is not None and not _has_groups(study.geometry):
             text = "only a MSH file has named groups of nodes; say where the region is instead"
             yield (*loc, "group"), text
-    yield from _check_coordinates(study)
 
 
 def _has_groups(geometry: Geometry) -> bool:
     return isinstance(geometry, FileBody) and geometry.suffix == ".msh"
-
-
-def _check_coordinates(study: Study) -> Iterator[Finding]:
-    """Coordinates in a body from a file, of which nothing says where they are measured from.
-
-    Until version 0.2 that was the middle of the body: studies of that time must not change in silence.
-    """
-    if study.geometry.shape != "file" or study.geometry.coordinates is not None:
-        return
-    names = [
-        f"region {shown(name)}"
-        for name, part in study.regions.items()
-        if part.ball
-        or part.box
-        or any(plane and plane.value is not None for plane in (part.below, part.above))
-    ]
-    names += [f"inclusion {shown(part.name)}" for part in study.inclusions or () if part.ball or part.box]
-    names += [f"measured table {shown(table.name)}" for table in study.measured or ()]
-    if names:
-        yield (
-            ("geometry", "coordinates"),
-            f'is missing, and {names[0]} has coordinates: give "file" where they are those of the '
-            'file, in metres, or "centred" where they are from the middle of its bounding box, as they were '
-            "before version 0.2",
-        )
 
 
 def _check_inclusions(study: Study) -> Iterator[Finding]:

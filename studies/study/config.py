@@ -263,9 +263,7 @@ def _with_surface(data: Mapping[str, Any], surface: Path) -> dict[str, Any]:
     geometry, study = data.get("geometry"), data.get("study")
     kept: dict[str, Any] = {"shape": "file", "path": str(surface.absolute())}
     if isinstance(geometry, dict):
-        kept |= {key: geometry[key] for key in ("mesh_size", "size", "coordinates") if key in geometry}
-        if geometry.get("shape") != "file":
-            kept["coordinates"] = "centred"  # as the study's own body is, which its regions were written for
+        kept |= {key: geometry[key] for key in ("mesh_size", "size") if key in geometry}
         if isinstance(kept.get("size"), list):
             del kept["size"]
     if isinstance(study, dict) and is_safe_name(name := study.get("name")):

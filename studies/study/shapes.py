@@ -79,8 +79,8 @@ class Geometry(OneOf):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What is given beside the shape, the size of its mesh and what coordinates start from."""
-        apart = ("shape", "mesh_size", "coordinates")
+        """What is given beside the shape and the size of its mesh."""
+        apart = ("shape", "mesh_size")
         return {key: value for key, value in self.model_dump().items() if key not in apart}
 
 
@@ -242,11 +242,6 @@ class FileBody(Geometry):
     size: Length | None = Field(None, description="its largest extent")
     scale: Ratio | None = Field(
         None, description="metres per unit of the file, 1 where neither scale nor size is given"
-    )
-    coordinates: Annotated[Literal["file", "centred"] | None, Enters.ANSWERS] = Field(
-        None,
-        description="what the coordinates of planes, balls, boxes and measured points start from: the origin of "
-        "the file, or the middle of its bounding box; needed where a study has coordinates",
     )
     cavities: Annotated[Literal["empty", "fluid"] | None, Enters.ANSWERS] = Field(
         None, description=f"{CAVITIES}; needed where closed pieces of its surface lie inside the outer one"

@@ -214,11 +214,9 @@ def blockers(plan: Plan, cases: Sequence[PlannedCase], work: Sequence[Body]) -> 
 def _off_the_body(plan: Plan, cases: Sequence[PlannedCase]) -> list[Finding]:
     """The regions of constraints that lie off their body; a mesh may reach an edge further."""
     return [
-        (("regions", name), f"region {name!r} lies off the body: {body_extent(low, high)}")
+        (("regions", name), f"region {name!r} lies off the body: {body_extent(body.low, body.high)}")
         for case in cases
         for name in dict.fromkeys(constraint.region for constraint in case.study.constraints)
         if (body := expected_mesh(plan, plan.meshes[case.mesh])) is not None
-        for start in [0.5 * (body.low + body.high) * (case.study.geometry.coordinates == "centred")]
-        for low, high in [(body.low - start, body.high - start)]
-        if lies_outside(case.study.regions[name], low - body.reach, high + body.reach)
+        if lies_outside(case.study.regions[name], body.low - body.reach, body.high + body.reach)
     ]

@@ -31,7 +31,7 @@ def test_what_it_writes_is_sound_and_told_line_by_line(capsys: pytest.CaptureFix
     # the commented lines for a scan are sound too
     Path("liver.stl").write_text("")
     scan = text.replace('shape = "sphere"', "").replace('radius = "50 mm"', "")
-    for key in ("shape", "path", "scale", "coordinates"):
+    for key in ("shape", "path", "scale"):
         assert f"# {key} = " in scan
         scan = scan.replace(f"# {key} = ", f"{key} = ")
     Path("scan.toml").write_text(scan)

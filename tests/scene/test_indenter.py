@@ -97,7 +97,7 @@ def hertz(directory: Path, **tables: Any) -> Study:
     depth = CONTACT**2 / SPHERE
     text = {
         "study": {"name": "hertz", "models": ["fem-linear"]},
-        "geometry": {"shape": "file", "path": str(directory / "half.vtu"), "coordinates": "file"},
+        "geometry": {"shape": "file", "path": str(directory / "half.vtu")},
         "tissue": {"youngs_modulus": YOUNG, "poisson_ratio": 0.5},
         "regions": {
             "touch": {"ball": {"center": [0, 0, 0], "radius": 1.6 * CONTACT}},

@@ -190,7 +190,6 @@ def test_a_surface_given_beside_the_study_replaces_the_geometry(tmp_path: Path) 
     path.write_text(SMALL.replace('"sphere"\nradius = 0.05', '"organ"\nsize = "190 mm"'))
     study = load_study(path, surface=surface)
     expected = {"shape": "file", "mesh_size": 0.006, "size": 0.19, "path": str(surface)}
-    expected["coordinates"] = "centred"  # those of the study's own body
     assert resolved(study)["geometry"] == expected
     assert resolved(expand(study)[0].study)["geometry"] == expected
     assert study.study.name == expand(study)[0].study.study.name == "small-liver"
@@ -229,7 +228,7 @@ def test_a_shipped_study_comes_back_from_json(path: Path) -> None:
 def test_any_study_comes_back_from_json(tmp_path: Path) -> None:
     (tmp_path / "a.stl").touch()
     _comes_back(load(tmp_path, FULL))
-    text = SMALL.replace('"sphere"\nradius = 0.05', '"file"\npath = "a.stl"\ncoordinates = "file"')
+    text = SMALL.replace('"sphere"\nradius = 0.05', '"file"\npath = "a.stl"')
     _comes_back(
         load(tmp_path, text + '[sweep]\n"tissue.poisson_ratio" = { start = 0.3, stop = 0.4, num = 3 }\n')
     )

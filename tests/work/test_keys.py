@@ -253,7 +253,6 @@ WHOLE: dict[str, Any] = STUDY | {
     ],
     "models": {"vdm-paper": {"bulk_modulus": 900.0}},
 }
-MOVED = {"coordinates": "centred"}
 CHOSEN = {
     "region": "base",
     "models": ("fem", "vdm-paper"),
@@ -357,6 +356,3 @@ def test_each_field_enters_the_keys_of_what_may_read_it_or_is_declared_not_to() 
     ]
     assert not wrong
     assert len(found) > 100
-    body = Geometry.kinds["file"].model_construct(shape="file", path=Path("a.stl"), coordinates="file")
-    of_file = [one.model_copy(update={"geometry": body.model_copy(update=change)}) for change in ({}, MOVED)]
-    assert case_hash(of_file[0], "mesh") != case_hash(of_file[1], "mesh"), "the mesh is where the file has it"

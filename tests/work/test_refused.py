@@ -89,10 +89,8 @@ def test_a_region_off_the_body_of_a_file_is_named_before_it_is_meshed(
         ".stl": (ball.surface_points, ("triangle", ball.triangles)),
         ".vtu": (ball.points, ("tetra", ball.tetrahedra)),
     }
-    meshio.write_points_cells(
-        file, cells[suffix][0] + 7.0, [cells[suffix][1]]
-    )  # its place is no matter either
-    geometry = {"shape": "file", "path": str(file), "mesh_size": 0.022, "coordinates": "centred"}
+    meshio.write_points_cells(file, cells[suffix][0], [cells[suffix][1]])
+    geometry = {"shape": "file", "path": str(file), "mesh_size": 0.022}
     regions = TABLES["regions"] | {"finger": {"above": {"axis": "z", "value": height}}}
     pressed = TABLES["constraints"][1] | {"profile": "uniform"}
     constraints = [TABLES["constraints"][0], pressed]
