@@ -40,7 +40,6 @@ baselines: setup
 	@test -n "$(REASON)" || { echo 'say why: make baselines REASON="..."'; exit 2; }
 	for study in quickstart regression; do \
 	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
-	$(ONE_THREAD) $(RUN)python -m tests.bench.test_figures
 
 # ARGS are the table's own: a liver.obj for accuracy, ratios, parts, performance; studies for error_bars, scenes
 evidence: setup

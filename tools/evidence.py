@@ -6,6 +6,7 @@ Each row is a shipped study with some values changed, run by the command `vdmben
 from __future__ import annotations
 
 import csv
+import dataclasses
 import importlib
 import json
 import shutil
@@ -468,27 +469,24 @@ def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
 
 
 def performance(name: str, arguments: Sequence[str]) -> None:
-    """What `vdmbench bench` measures, kept in results/bench."""
-    from vdmbench.bench import amount, error_text, read_bench, seconds
-    from vdmbench.verdict.digest import median_known
+    """The finest meshes of `vdmbench bench`, whose runs stay in results/runs/bench."""
+    from vdmbench.bench import rows as bench_rows
 
-    own, there = EVIDENCE[name], ROOT / "results" / "bench"
+    own, there = EVIDENCE[name], RUNS / "bench"
     surface = ["--surface", Path(arguments[0]).absolute()] if arguments else []
-    if not (there / "bench.json").exists():
-        finished("bench", *surface, "--out", there, OPENBLAS_NUM_THREADS="1")
-    bench = read_bench(there / "bench.json")
-    finest = {mesh[0]: mesh for mesh in bench.meshes()}.values()
-    rows = []
-    for e in [e for mesh in finest for e in bench.on(mesh) if e.model in own["models"]]:
-        times = [e.setup, e.frame_all, e.columns, e.frame_local, e.recut]
-        cells = [seconds(median_known(values)) for values in times]
-        rows.append([e.body, str(e.nodes), e.model, *cells, amount(e.peak_bytes, "B"), error_text(e)])
-    head = ["body", "nodes", "model", "set-up", "frame, all nodes", "columns", "frame, contact", "re-cut"]
-    head += ["memory", "error"]
+    told = json.loads(finished("bench", *surface, "--out", there, "--json", OPENBLAS_NUM_THREADS="1"))
+    runs = [read_run(Path(report).parent) for report in told["reports"]]
+    found = [row for run in runs for row in bench_rows(dataclasses.replace(run, cases=[_finest(run)]))]
+    head = ["body", "nodes", "model", "set-up", "frame, all nodes", "frame, contact", "memory", "error"]
+    rows = [[row[key].partition(" [")[0] for key in head] for row in found if row["model"] in own["models"]]
     kept(own["all_rows"], head, rows)
-    machine = f"{bench.machine['processor']}, one thread; medians of {bench.machine['rounds']} rounds"
+    machine = f"{_finest(runs[0]).provenance['processor']}, one thread; medians of rounds"
     of_one = table(head[2:], [row[2:] for row in rows if row[0] == own["body"]])
     show(ROOT / own["document"], own["part"], f"{machine}; the {own['body']}.\n\n{of_one}")
+
+
+def _finest(run: Run) -> CaseResult:
+    return max(run.cases, key=lambda case: len(case.points))
 
 
 # --- results/calibrations.md ---

@@ -25,7 +25,6 @@ import tomli_w
 
 from tools.documents import ROOT, RUNS, finished, show, table
 from tools.evidence import EVIDENCE, MEASURES, as_per_cent, kept, slashed
-from vdmbench.bench import amount, seconds
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.body.refine import refined
 from vdmbench.body.surface_measures import Surface, relative_l2
@@ -39,7 +38,7 @@ from vdmbench.scene.result import ModelResult
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import load_study
 from vdmbench.study.files import merged
-from vdmbench.verdict.formatting import NOTHING
+from vdmbench.verdict.formatting import NOTHING, quantity
 
 OWN = EVIDENCE["parts"]
 FORM = OWN["study"]["study"]["models"][0]
@@ -249,9 +248,9 @@ def costs(size: str) -> Iterator[list[str]]:
         ]
         steps = result.seconds_per_step
         yield [
-            nodes, model, parts or "1", seconds(result.seconds_setup), amount(result.peak_bytes, "B"),
-            seconds(found.contact), errors[0], seconds(steps[1]), seconds(float(np.median(steps[2:]))), errors[1],
-            seconds(found.whole),
+            nodes, model, parts or "1", quantity(result.seconds_setup, "s"), quantity(result.peak_bytes, "B"),
+            quantity(found.contact, "s"), errors[0], quantity(steps[1], "s"),
+            quantity(float(np.median(steps[2:])), "s"), errors[1], quantity(found.whole, "s"),
         ]  # fmt: skip
 
 

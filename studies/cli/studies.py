@@ -83,7 +83,7 @@ def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
     from ..study.files import without_folders
 
     given = vars(options)
-    words = [verb, _name(given["study"])]
+    words = [verb, *([_name(given["study"])] if given["study"] else [])]
     for key in ("surface", "out"):
         if given.get(key):
             words += [f"--{key}", _name(given[key])]

@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..machine import cache_directory, results_directory
+from ..machine import cache_directory
 from ..study.errors import InputError
 from .arguments import RUNS, STUDY_READS, flag, option, place, study_argument, verb
 from .output import FAILED, OK, complain_of_failures, folded, print_json, print_table, tell
-from .studies import command_of, load, make_plan, only_case, require_own, run_missing
+from .studies import check_files, command_of, load, make_plan, only_case, require_own, run_missing
 
 if TYPE_CHECKING:
     from ..measures.case import Run
@@ -25,56 +25,48 @@ if TYPE_CHECKING:
         "?",
     ),
     *STUDY_READS,
-    option("--out", type=place, metavar="DIR", help="directory (default results/bench)"),
+    option("--out", type=place, metavar="DIR", help="where its run directories are (default results/runs)"),
+    RUNS[1],
 )
 def run_benchmark(options: argparse.Namespace) -> int:
-    """Measure the study, or a sphere, an organ and the surface that is given, with every model."""
+    """Run the study, or a sphere, an organ and the surface that is given, with every model on several mesh sizes.
+
+    Each is a run like any other, of the study NAME-bench in a directory of its own, with a report.
+    """
     from .. import bench
     from ..models import model_names
 
-    studies = {
-        body: load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))
-        for body, (name, surface) in bodies_to_measure(options.study, options.surface).items()
-    }
-    if options.study:
-        for study in studies.values():
-            # a mesh that cannot be made is told with its line before anything is measured
-            make_plan(study, options)
-    out = options.out or results_directory() / "bench"
-    if out.is_dir() and any(out.iterdir()) and not (out / "bench.json").exists():
-        raise InputError(f"{out}: is not empty and not a benchmark's directory; choose another --out")
-    found = bench.measure(
-        studies,
-        vars(options).get("cache") or cache_directory(),
-        names=None if options.study else model_names(benched=True),
-        watch=tell,
-    )
-    bench.write_bench(out / "bench.json", found)
+    plans = []  # all are sound before anything is run
+    for name, surface in bodies_to_measure(options.study, options.surface):
+        given = load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))
+        names = given.study.models if options.study else model_names(benched=True)
+        study = bench.study_to_run(given, names, watch=tell)
+        directory = options.out / study.study.name if options.out else None
+        plan = make_plan(study, options, directory=directory, command=command_of("bench", options))
+        check_files(plan, plan.cases_to_run())
+        plans.append(plan)
+    runs = [run_missing(plan, options, times=True) for plan in plans]
+    rows = [row for run, _ in runs for row in bench.rows(run)]
+    for run, _ in runs:
+        complain_of_failures(run)
     if options.json:
-        return print_json(
-            {
-                "rows": bench.rows(found),
-                "figures": bench.machine_independent(found),
-            }
-        )
-    print(", ".join(f"{name}: {text}" for name, text in list(found.machine.items())[:5]))
-    print_table(bench.rows(found))
-    print(bench.ERROR_NOTE)
-    print(f"figures: {out / 'bench.json'}")
-    return OK
+        print_json({"rows": rows, "reports": [str(report) for _, report in runs]})
+    else:
+        print_table(rows)
+        print(folded(bench.NOTE))
+        for _, report in runs:
+            print(f"report: {report}")
+    # a size that the study's author never wrote may be none that the body stands
+    return OK if all(run.cases for run, _ in runs) else FAILED
 
 
-def bodies_to_measure(study: str | None, surface: Path | None) -> dict[str, tuple[str, Path | None]]:
-    """Name of each body of a benchmark -> its study, and the file that replaces the study's own body."""
+def bodies_to_measure(study: str | None, surface: Path | None) -> list[tuple[str, Path | None]]:
+    """The studies of a benchmark, and the file that replaces a study's own body."""
     if study:
-        return {Path(study).stem: (study, surface)}
-    bodies: dict[str, tuple[str, Path | None]] = {
-        "sphere": ("quickstart", None),
-        "organ": ("accuracy-organ", None),
-    }
-    if surface is not None:
-        bodies[surface.name if surface.stem in bodies else surface.stem] = ("accuracy-organ", surface)
-    return bodies
+        return [(study, surface)]
+    return [("quickstart", None), ("accuracy-organ", None)] + (
+        [("accuracy-organ", surface)] if surface else []
+    )
 
 
 @verb(

@@ -19,7 +19,6 @@ import math
 import time
 import timeit
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -50,43 +49,10 @@ Problem = LinearSolver | LinearProblem | CondensedProblem
 Frame = Callable[[Array], tuple[Array, float]]
 
 
-@dataclass(frozen=True)
-class Round:
-    """One model in one round; seconds, NaN where the model has no such thing.
-
-    Attributes
-    ----------
-    setup : operators and factors of a new body, mesh given
-    contact, everywhere : a frame of each kind
-    direct : a frame of the contact by the model's own solve
-    columns : what `contact` needs once per contact region, beyond the set-up; NaN where it is solved directly
-    result : the answer to the contact's loads at `FACTORS`
-    """
-
-    setup: float
-    contact: float
-    everywhere: float
-    direct: float
-    columns: float
-    result: ModelResult
-
-
 def frame_times(scene: Scene, names: Sequence[str], rounds: int, budget: float) -> dict[str, FrameTimes]:
     """Frames of several models on one scene, in turns; a model is measured no further after `budget` seconds."""
-    return {
-        name: FrameTimes(
-            setup=np.array([each.setup for each in taken]),
-            contact=np.array([each.contact for each in taken]),
-            everywhere=np.array([each.everywhere for each in taken]),
-        )
-        for name, taken in in_turns(scene, names, rounds, budget).items()
-    }
-
-
-def in_turns(scene: Scene, names: Sequence[str], rounds: int, budget: float) -> dict[str, list[Round]]:
-    """Model -> its rounds, the first of as many; fewer where they took more than `budget` seconds."""
     contact = dataclasses.replace(scene, load_factors=FACTORS, condition=False)
-    found: dict[str, list[Round]] = {name: [] for name in names}
+    taken: dict[str, list[tuple[float, float, float]]] = {name: [] for name in names}
     spent = dict.fromkeys(names, 0.0)
     gc.collect()
     gc.freeze()  # no round's look for garbage goes through all that is loaded
@@ -94,35 +60,30 @@ def in_turns(scene: Scene, names: Sequence[str], rounds: int, budget: float) -> 
         for name in names:
             if spent[name] < budget:
                 start = time.perf_counter()
-                found[name].append(one_round(contact, name))
+                taken[name].append(one_round(contact, name))
                 spent[name] += time.perf_counter() - start
-    return found
+    return {name: FrameTimes(*np.array(times).T) for name, times in taken.items()}
 
 
-def one_round(contact: Scene, name: str) -> Round:
-    """A new set-up of a model, both kinds of frame, and the short way for a contact where there is one."""
+def one_round(contact: Scene, name: str) -> tuple[float, float, float]:
+    """Seconds of a new set-up of a model, of a frame of the contact by its shortest way, and of one everywhere.
+
+    NaN where the model has no such thing.
+    """
     gc.collect()
     prepared = Prepared(contact, name, MANY)
     result = prepared.answer(contact.loads)
-    direct, everything = _frame(contact, prepared, result), math.nan
+    touch, everything = _frame(contact, prepared, result), math.nan
     everywhere = dataclasses.replace(contact, facet_pressure=pressure_everywhere(contact))
     if name != "fem-condensed":
         everything = _frame(everywhere, prepared, prepared.answer(everywhere.loads))
     elif len(contact.fixed) <= MOST_CONDENSED:  # to another contact it is condensed anew
         other = Prepared(everywhere, name, MANY)
         everything = _frame(everywhere, other, other.answer(everywhere.loads))
-    columns, product = math.nan, math.inf
     problem = prepared.set_up.problem if prepared.set_up is not None else None
     if problem is not None and result.status[0].ok and superposes(name) and _pressed_alone(contact):
-        columns, product = _by_columns(problem, contact)
-    return Round(
-        setup=result.seconds_setup,
-        contact=min(direct, product),
-        everywhere=everything,
-        direct=direct,
-        columns=columns if product < direct else math.nan,
-        result=result,
-    )
+        touch = min(touch, _by_columns(problem, contact))
+    return result.seconds_setup, touch, everything
 
 
 def pressure_everywhere(scene: Scene) -> Array:
@@ -147,14 +108,12 @@ def _pressed_alone(scene: Scene) -> bool:
     )
 
 
-def _by_columns(problem: Problem, contact: Scene) -> tuple[float, float]:
-    """Seconds that the columns of the contact nodes take, and of a frame by them."""
-    pressure = contact.contact_pressure[contact.contact]
-    start = time.perf_counter()
-    frame = partial(contact_frame(problem, contact), pressure)
+def _by_columns(problem: Problem, contact: Scene) -> float:
+    """Seconds of a frame by the columns of the contact nodes, which are made before."""
+    frame = partial(contact_frame(problem, contact), contact.contact_pressure[contact.contact])
     frame()
     frame()  # shortens the columns
-    return time.perf_counter() - start, median_seconds(frame)
+    return median_seconds(frame)
 
 
 def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> float:

@@ -62,6 +62,9 @@ class Options:
     memory: int | None = None
     scheduler: str | None = None  # address of a Dask scheduler, whose workers do the tasks
     insecure_scheduler: bool = False  # also without TLS on another machine
+    times: bool = (
+        False  # measure what frames take of every model on every mesh, as where a verdict hangs on it
+    )
 
 
 def run_plan(
@@ -94,7 +97,8 @@ def run_plan(
             STUDY: text_without_folders(study_text).encode(),
             RESOLVED: tomli_w.dumps(without_folders(resolved(plan.study))).encode(),
         }
-        if not cases and not _decides(plan) and (done := _as_told(plan, texts)) is not None:
+        timed = options.times or _decides(plan)
+        if not cases and not timed and (done := _as_told(plan, texts)) is not None:
             return done, plan.directory / REPORT
         planned = summary(plan)
         for name, text in texts.items():
@@ -103,7 +107,7 @@ def run_plan(
         began = time.perf_counter()
         used = 0.0
         try:
-            if cases or _decides(plan):
+            if cases or timed:
                 with _pool(plan, options) as pool:
                     used = _run_missing(plan, cases, options, watch, pool)
                     _time_frames(plan, cases, options, watch, pool)
@@ -222,13 +226,14 @@ def _time_frames(
     pool: Pool,
 ) -> None:
     """Measure what frames take, once nothing else of this run is at work; a failure costs the times alone."""
-    asked = plan.in_shard(options.shard) if _decides(plan) else cases
+    every = options.times or _decides(plan)
+    asked = plan.in_shard(options.shard) if every else cases
     first = {case.mesh: case for case in reversed(asked) if plan.case_file(case).exists()}
     if not first:
         return
     there = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
     items = [case_payload(case, there) for case in reversed(first.values())]
-    payload = {"directory": str(there.directory), "decides": _decides(plan), "items": items}
+    payload = {"directory": str(there.directory), "every": every, "items": items}
     task = Task("times", "times", "times of a frame", payload, frozenset())
     watch(Event("started", task.label))
     for _, said in run_tasks([task], pool, plan.directory.absolute() / "failed", timeout=options.timeout):

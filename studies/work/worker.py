@@ -42,7 +42,7 @@ MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
 WHERE = "where: "  # begins a line of a log that says where a solve is
 _APART = 2.0  # s between such lines
 SLOW = 20.0  # s of a set-up and a step, from which on a model is not answered again for its times alone
-TIMES_BUDGET = 5.0  # s for the times of all meshes, where no verdict hangs on them
+TIMES_BUDGET = 5.0  # s for the times of all meshes, where not every one is asked for
 
 Payload = Mapping[str, Any]
 
@@ -125,19 +125,19 @@ def _case(payload: Payload) -> None:
 def _times(payload: Payload) -> None:
     """What frames take, on the first case that is done of each mesh, every model in turns; into one file.
 
-    Where no verdict hangs on it, models that are slow enough to be told from one answer are left out, and so are
-    meshes for which no time is left.
+    Unless `every` time is asked for, models that are slow enough to be told from one answer are left out, and so
+    are meshes for which no time is left.
     """
     from ..models.frames import frame_times  # solvers, slow to load
 
-    decides, end = payload["decides"], time.perf_counter() + TIMES_BUDGET
-    rounds, budget = (5, 10.0) if decides else (3, 2.0)
+    every, end = payload["every"], time.perf_counter() + TIMES_BUDGET
+    rounds, budget = (5, 10.0) if every else (3, 2.0)
     found = {}
     for item in payload["items"]:
-        if not decides and time.perf_counter() > end:
+        if not every and time.perf_counter() > end:
             break
         case = typed(PlannedCase, item["case"])
-        slow = set() if decides else _slow(case, Path(item["cache"]))
+        slow = set() if every else _slow(case, Path(item["cache"]))
         names = [name for name in case.study.study.models if name not in slow]
         about: Any = {"case": case.label, "processor": processor_name()}
         times = frame_times(build_scene(case.study, _meshes(item, 0).finest), names, rounds, budget)

@@ -1,73 +1,29 @@
-"""What follows from a benchmark, on numbers chosen by hand; the spheres of the growth."""
+"""A benchmark is a run of a study on several mesh sizes; its table, on numbers chosen by hand."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
+import dataclasses
+import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
+from numpy.testing import assert_allclose
 
-from vdmbench import bench
-from vdmbench.bench import (
-    Bench,
-    Entry,
-    rows,
-    spread,
-)
+from tests.command import vdmbench, vdmbench_process
+from tests.example_case import typed_study
+from tests.report.runs import make_case, make_run
+from vdmbench.bench import SIZES, rows, study_to_run
 from vdmbench.cli.verbs_of_trials import bodies_to_measure
-from vdmbench.study.config import load_study
-from vdmbench.study.errors import InputError
-
-
-def entry(model: str, recut: float, frame: float, error: float, **changes: Any) -> Entry:
-    one = np.array([np.nan, 1.0, 1.0])
-    given = {
-        "body": "ball",
-        "model": model,
-        "nodes": 100,
-        "tetrahedra": 300,
-        "frame_all": one,
-        "columns": np.nan * one,
-        "setup": recut * one,
-        "recut": recut * one,
-        "frame_local": frame * one,
-        "ratio_setup": one,
-        "ratio_frame": one,
-        "peak_bytes": 1e6,
-        "error": error,
-        "deformation_error": error,
-        "bar": 0.01,
-        "iterations": 0.0,
-    }
-    return Entry(**(given | changes))
-
-
-VECTOR = entry("vdm-vector", 0.01, 1e-3, 0.2)
-
-
-def test_a_round_that_was_left_out_counts_nothing() -> None:
-    (row,) = rows(Bench({}, [VECTOR]))
-    assert row["re-cut"] == "10 ms [10 ms, 10 ms]"
-    assert row["error"] == "20 % ± 1 %"
-    (row,) = rows(Bench({}, [replace(VECTOR, bar=0.04)]))
-    assert row["error"] == "~20 % ± 4 %", "more than a tenth is not resolved"
-    assert row["columns"] == "–", "none were needed"
-
-
-def test_how_far_rounds_are_off_their_median() -> None:
-    """By the middle half of them: one round in which the machine did something else weighs nothing."""
-    even, uneven = np.array([2.0, 2.0, 2.0, 2.0, 1e4]), np.array([2.0, 4.0, 5.0, 6.0, 1e4])
-    assert spread(uneven) == (4.0, 6.0)
-    assert all(math.isnan(part) for part in spread(even * np.nan))
-
+from vdmbench.scene.result import FrameTimes
+from vdmbench.store.cases import read_run
+from vdmbench.study.config import expand, load_study
 
 STUDY = """
 [study]
 name = "ball"
-models = ["vdm-consistent", "fem-linear"]
+models = ["vdm-consistent"]
 condition = true
 
 [geometry]
@@ -90,43 +46,95 @@ kind = "fixed"
 region = "base"
 
 [[constraints]]
+name = "finger"
 kind = "contact"
 region = "finger"
 pressure = "100 Pa"
+
+[sweep]
+"constraints.finger.pressure" = ["100 Pa", "200 Pa"]
 """
 
-
-def test_a_size_that_the_author_never_wrote_and_nothing_stands_is_left_out(tmp_path: Path) -> None:
-    """A ball of 100 mm has no mesh with edges of 76 or 99 mm."""
-    path = tmp_path / "ball.toml"
-    path.write_text(STUDY.format(size=38, fraction=0.7))
-    told: list[str] = []
-    found = bench.measure(
-        {"ball": load_study(path)}, tmp_path, sizes=(2.6, 2.0, 1.0), rounds=1, watch=told.append
-    )
-    (mesh,) = found.meshes()
-    assert all(entry.status == "converged" for entry in found.entries)
-    left_out = found.machine["left out"]
-    assert left_out.count("times its mesh_size: ") == 2
-    assert left_out.startswith("ball at 2.6 times its mesh_size: ")
-    assert f"left out {left_out.split('; ball')[0]}" in told
-    assert f"measuring ball, {mesh[1]} nodes, mesh 3 of 3" in told
-    # nothing else is to be had: the study as it is
-    alone = bench.measure({"ball": load_study(path)}, tmp_path, sizes=(2.6,), rounds=1, watch=told.append)
-    assert alone.meshes() == [mesh]
+HELD: dict[str, Any] = {
+    "regions": {"base": {"below": {"axis": "z", "fraction": 0.3}}},
+    "constraints": [{"kind": "fixed", "region": "base"}],
+    "gravity": {"acceleration": [0.0, 0.0, -9.81]},
+}
 
 
-def test_a_surface_called_like_a_built_in_body_is_measured_beside_it() -> None:
-    built_in = bodies_to_measure(None, None)
-    for name in ("sphere.stl", "organ.ply", "liver.stl"):
-        bodies = bodies_to_measure(None, Path(name))
-        assert bodies.items() > built_in.items()
-        assert [path for _, path in bodies.values() if path is not None] == [Path(name)]
-    assert set(bodies_to_measure(None, Path("liver.stl"))) == {"sphere", "organ", "liver"}
+def test_a_benchmark_is_a_run_of_the_sizes_that_the_body_stands(tmp_path: Path) -> None:
+    """A ball of 100 mm has no mesh with edges of 56 or 73 mm; models answer the first case of the study."""
+    (tmp_path / "ball.toml").write_text(STUDY.format(size=28, fraction=0.7))
+    done = vdmbench_process("bench", "ball.toml", "--json", cwd=tmp_path)  # which takes times
+    assert done.returncode == 0, done.stderr
+    assert re.findall("left out (.*) times the mesh_size: ", done.stderr) == ["2.6", "2"]
+    (report,) = json.loads(done.stdout)["reports"]
+    run = read_run((tmp_path / report).parent)
+    assert run.study.study.name == "ball-bench"
+    assert len(run.cases) == 2
+    found = [(row["model"], int(row["nodes"])) for row in json.loads(done.stdout)["rows"]]
+    nodes = [len(case.points) for case in run.cases]
+    assert found == [(name, count) for count in nodes for name in ("vdm-consistent", "fem-linear")]
+    for case in run.cases:
+        assert case.study.constraints[1].pressure == 100.0
+        assert_allclose(case.load_factors, [0.5, 1.0], rtol=1e-12, atol=0)
+        for name in ("vdm-consistent", "fem-linear"):
+            times = case.models[name].frames
+            assert times is not None
+            assert times.contact.shape == times.everywhere.shape == (5,)
 
 
 def test_a_study_that_cannot_be_measured_at_all_says_why(tmp_path: Path) -> None:
-    path = tmp_path / "ball.toml"
-    path.write_text(STUDY.format(size=38, fraction=0.999))
-    with pytest.raises(InputError, match="enlarge its region"):
-        bench.measure({"ball": load_study(path)}, tmp_path, sizes=(2.0,), rounds=1, watch=str)
+    (tmp_path / "ball.toml").write_text(STUDY.format(size=30, fraction=0.999))
+    done = vdmbench("bench", "ball.toml", cwd=tmp_path)
+    assert done.returncode == 3
+    assert "enlarge its region" in done.stderr
+
+
+def test_a_body_of_its_own_tetrahedra_is_measured_as_it_is() -> None:
+    own = typed_study(geometry={"shape": "file", "path": "body.msh"}, **HELD)
+    assert own.geometry.has_own_tetrahedra
+    assert len(expand(study_to_run(own, ["bem"]))) == 1
+    swept = study_to_run(typed_study(**HELD), ["bem"])
+    assert [case.swept["geometry.mesh_size"] for case in expand(swept)] == [0.006 * size for size in SIZES]
+
+
+def test_the_study_to_run_is_one_that_a_file_can_say(tmp_path: Path) -> None:
+    study = study_to_run(typed_study(**HELD), ["bem"])
+    (tmp_path / "study.toml").write_text(study.text)
+    assert load_study(tmp_path / "study.toml") == study
+
+
+def test_a_row_is_of_medians_and_of_ratios_inside_rounds() -> None:
+    def times(setup: list[float], contact: list[float]) -> FrameTimes:
+        return FrameTimes(np.array(setup), np.array(contact), np.full(len(setup), np.nan))
+
+    case = make_case(
+        {"bem": 0.2}, reference_error={"levels": 2.0, "gci:relative_l2_displacement_error": 0.01}
+    )
+    frames = {
+        # the machine did something else in the last round; of the slow model there are two rounds
+        "fem-linear": times([2.0, 2.0, 2.0, 2.0, 1e4], [0.1, 0.1, 0.1, 0.1, 1e4]),
+        "bem": times([4.0, 8.0], [0.01, 0.03]),
+    }
+    models = {name: dataclasses.replace(one, frames=frames[name]) for name, one in case.models.items()}
+    bem, elements = rows(make_run([dataclasses.replace(case, models=models)]))
+    assert elements["set-up"] == "2.00 s [2.00 s, 2.00 s]"
+    assert elements["frame ratio"] == "1.0 [1.0, 1.0]"
+    assert bem["set-up"] == "6.00 s [5.00 s, 7.00 s]"
+    assert bem["set-up ratio"] == "3.0 [2.5, 3.5]"
+    assert bem["frame ratio"] == "0.20 [0.15, 0.25]"
+    assert bem["frame, all nodes"] == "–"
+    assert bem["error"] == "20.0 % ± 1 %"
+    unsure = dataclasses.replace(
+        case, reference_error={"levels": 2.0, "gci:relative_l2_displacement_error": 0.04}
+    )
+    (row, _) = rows(make_run([unsure]))
+    assert row["error"] == "~20.0 % ± 4 %", "more than a tenth is not resolved"
+    assert row["set-up"] == "–", "not measured"
+
+
+def test_a_surface_is_measured_beside_the_built_in_bodies() -> None:
+    built_in = bodies_to_measure(None, None)
+    assert bodies_to_measure(None, Path("liver.stl")) == [*built_in, ("accuracy-organ", Path("liver.stl"))]
+    assert bodies_to_measure("mine.toml", Path("liver.stl")) == [("mine.toml", Path("liver.stl"))]

@@ -99,7 +99,7 @@ def test_what_is_shown_is_made_of_all_rows() -> None:
     assert all_rows("parts") == there("parts")
     assert trial.summed_up(all_rows("parts")) == shown(ROOT / EVIDENCE["parts"]["document"], "trial-sum")
     assert there("performance")[-1] == next(
-        r[2:] for r in reversed(all_rows("performance")) if r[0] == "organ"
+        r[2:] for r in reversed(all_rows("performance")) if r[0] == "accuracy-organ"
     )
 
 

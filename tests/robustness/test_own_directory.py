@@ -17,7 +17,7 @@ def _content(directory: Path) -> dict[str, bytes]:
     ("verb", "name"),
     [
         *(("run", name) for name in ("report.html", "plan.json", "cases/notes")),
-        *((verb, "study.toml") for verb in ("plan", "calibrate", "bench")),
+        *((verb, "study.toml") for verb in ("plan", "calibrate")),
     ],
 )
 def test_a_directory_of_others_is_left_as_it_is(tmp_path: Path, verb: str, name: str) -> None:

@@ -1,4 +1,4 @@
-"""Times that decide: measured anew in each run, all models in turns, and the same measurement as a benchmark's."""
+"""Times that decide: measured anew in each run, all models in turns."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.in_process import HerePool, do_cases
-from vdmbench import bench
 from vdmbench.models import frames
+from vdmbench.scene.scene import Scene
 from vdmbench.store.run_directory import TIMES, read_times
 from vdmbench.work.run import Options, _decides, _time_frames
 
@@ -47,15 +47,13 @@ def test_a_run_with_nothing_to_do_measures_a_time_that_decides_and_no_other(
     assert not (other.directory / TIMES).exists()
 
 
-def test_models_take_turns_and_run_and_bench_measure_by_one_function(
-    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_models_take_turns(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     real = frames.one_round
 
-    def seen(scene: object, name: str) -> frames.Round:
+    def seen(scene: Scene, name: str) -> tuple[float, float, float]:
         asked.append(name)
-        return real(scene, name)  # type: ignore[arg-type]
+        return real(scene, name)
 
     monkeypatch.setattr(frames, "one_round", seen)
     plan = plan_of(tmp_path / "run", cache, **LIMITED)
@@ -63,7 +61,4 @@ def test_models_take_turns_and_run_and_bench_measure_by_one_function(
     timed(plan, plan.cases)
     assert asked == list(plan.study.study.models) * 5
     stored = read_times(plan.directory)
-    asked.clear()
-    bench.measure({"ball": plan.study}, cache, sizes=(1.0,), rounds=2, watch=str)
-    assert asked == list(plan.study.study.models) * 2
     assert {one.case for one in stored[plan.cases[0].mesh].values()} == {plan.cases[0].label}
