@@ -97,12 +97,15 @@ class CaseResult:
 
     @cached_property
     def reached(self) -> int:
-        """The step of the largest load that the reference reached: `full_load` where it did not end before."""
+        """The step of the largest load that the reference reached: `full_load` where it did not end before.
+
+        -1 where it has no answer at all.
+        """
         reference = self.models.get(str(self.reference))
         if reference is None:
             return self.full_load
-        answered = np.array([status.ok for status in reference.status])
-        return full_load_step(np.where(answered, self.load_factors, 0.0))
+        answered = np.flatnonzero([status.ok for status in reference.status])
+        return int(answered[full_load_step(self.load_factors[answered])]) if len(answered) else -1
 
 
 DAMAGED = "damaged"  # code of a failure: the case was done, its file cannot be read

@@ -33,6 +33,8 @@ class FailedReferenceError(ValueError):
 def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Array) -> dict[str, float]:
     """The error of the finest of S-step results on one surface, at the largest load that all of them reached.
 
+    Empty where they reached none.
+
     Parameters
     ----------
     levels : the finest first, each refined once from the next
@@ -48,8 +50,11 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
         The deformation has its own levels for that. From three levels on, `own_gci:<metric>` of what the finest is
         by itself, such as its volume drift, from the figures of all levels.
     """
-    reached = np.all([np.isfinite(level.displacement).all(axis=(1, 2)) for level in levels], axis=0)
-    step = full_load_step(np.where(reached, load_factors, 0.0))
+    answered = np.all([np.isfinite(level.displacement).all(axis=(1, 2)) for level in levels], axis=0)
+    if not answered.any():
+        return {}
+    reached = np.flatnonzero(answered)
+    step = int(reached[full_load_step(load_factors[reached])])
     fields = [level.displacement[step] for level in levels]
     differences = _differences(fields, surface.areas)
     deformed = list(deformations(surface.points, np.stack(fields), surface.areas))
@@ -123,13 +128,6 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
         for part in place_inclusions(study, coarsest)
     }
     return build_scene(study, hierarchy.finest, masks, inside)
-
-
-def require_answer(name: str, result: ModelResult, load_factors: Array) -> None:
-    """As `require_converged`, where no load was reached; all else is a result up to where it ends."""
-    answered = np.array([status.ok for status in result.status])
-    if not np.abs(load_factors[answered]).any():
-        require_converged(name, result)
 
 
 def require_converged(name: str, result: ModelResult) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from solver_common.arrays import Array
-from solver_common.solution import solver_error
+from solver_common.solution import SolverError, solver_error
 
 from ..scene.result import REST_DISTANCE
 
@@ -50,16 +50,22 @@ def rest_shape(measured: Array, sag: Callable[[Array], Array]) -> tuple[Array, A
 
     rest, anderson = measured, Anderson(_REMEMBERED)
     for _ in range(_MOST):
-        displacement = sag(rest)
+        try:
+            displacement = sag(rest)
+        except SolverError as error:
+            raise _no_rest_shape(error.status.message) from error
         missed = measured - (rest + displacement)
         if np.abs(missed).max() <= TOLERANCE * np.abs(displacement).max():
             return rest, displacement
         rest = anderson.next(rest.ravel(), missed.ravel()).reshape(rest.shape)
-    raise solver_error(
+    raise _no_rest_shape(f"after {_MOST} steps a point is off by {1e3 * float(np.abs(missed).max()):.2g} mm")
+
+
+def _no_rest_shape(why: str) -> SolverError:
+    return solver_error(
         "no-rest-shape",
-        f"no rest shape was found that sags into the scanned one: after {_MOST} steps a point is off by"
-        f" {1e3 * float(np.abs(missed).max()):.2g} mm",
-        "give a stiffer tissue, or leave out gravity.scanned",
+        f"no rest shape was found that sags into the scanned one: {why}",
+        "give a stiffer tissue, bear more of its surface on soft springs (`elastic`), or leave out gravity.scanned",
     )
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import chain
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -113,7 +114,7 @@ class Outside:
 
 @dataclass(frozen=True)
 class Unreached:
-    """A case whose reference ended before the full load: the share that it reached, and why it ended."""
+    """A case whose reference ended before the full load: the share that it reached, 0 of none, and why it ended."""
 
     case: str
     name: str
@@ -382,7 +383,8 @@ class Digest:
         found = []
         for case in self.cases:
             if case.reached != case.full_load:
-                share = abs(float(case.load_factors[case.reached] / case.load_factors[case.full_load]))
+                reached = case.load_factors[case.reached] if case.reached >= 0 else 0.0
+                share = abs(float(reached / case.load_factors[case.full_load]))
                 why = case.models[str(case.reference)].status[case.full_load].message
                 found.append(Unreached(case.hash, self.case_name(case), share, why))
         return tuple(found)
@@ -420,10 +422,9 @@ class Digest:
         digest = self.in_range if self.in_range.compared else self
         deciding = [digest.deciding(family) for family, models in digest.families.items() if models]
         answering = (name for name in deciding if np.isfinite(digest.shares(name)).any())
-        if deciding:
-            return next(answering, deciding[0])
-        others = [name for name in self.models if name != self.reference]
-        return next(iter([*others, *self.models]), None)
+        others = [*deciding, *(name for name in self.models if name != self.reference)]
+        moving = (name for name in others if any(math.isfinite(_largest(case, name)) for case in self.cases))
+        return next(chain(answering, moving, others, self.models), None)
 
     @cached_property
     def key_cases(self) -> list[tuple[str, CaseResult]]:

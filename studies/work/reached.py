@@ -35,7 +35,8 @@ def at_what_was_reached(
     """Places along the load history and the results there: its steps, and what models reached part of the way.
 
     A model that kept the state it ended in answers with it; what others reached before, each is asked anew. One on
-    several mesh levels ends where the first of them does: beyond, there is nothing to compare.
+    several mesh levels ends where the first of them does, beyond which its error is not known; on the case's own
+    mesh it keeps what it answered there.
 
     Parameters
     ----------
@@ -59,13 +60,13 @@ def at_what_was_reached(
     least = 1.0 if SCANNED in scene.extras else 0.0
     reached = {end for end, _ in ends.values() if least < end < math.inf and end % 1.0}
     places = np.array(sorted({*steps.tolist(), *reached}))
-    several = {want.name for want, _ in found if want.level}
     merged = []
     for want, result in found:
         own = [steps_of(result, [math.ceil(place) - 1]) for place in places]
         last, status = ends[want.name]
         lost = places > last
-        for k in np.flatnonzero((places % 1.0 > 0.0) & ~lost).tolist():
+        between = places % 1.0 > 0.0
+        for k in np.flatnonzero(between & ~lost).tolist():
             if places[k] == _end(result)[0] and _is_kept(own[k]):
                 own[k] = dataclasses.replace(own[k], status=(CONVERGED,))
                 continue
@@ -73,9 +74,9 @@ def at_what_was_reached(
             own[k] = run_model(level_scene(study, there).at(places[k]), want.name)
             own[k] = restricted(own[k], there) if want.level else own[k]
         # one that is asked each load for itself may answer a further one
-        gone = lost if want.name in several else lost & (places % 1.0 > 0.0)
-        for k in np.flatnonzero(gone).tolist():
-            own[k] = dataclasses.replace(own[k], status=(status,))
+        for k in np.flatnonzero(lost & (between | (want.level > 0))).tolist():
+            if own[k].status[0].ok:
+                own[k] = dataclasses.replace(own[k], status=(status,))
         merged.append((want, answered(_joined(result, own))))
     return places, merged
 

@@ -12,8 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import fem_reference.condensed
-from solver_common.solution import Status
-from tests.in_process import HerePool, outcomes_of
+from tests.in_process import HerePool
 from vdmbench import models
 from vdmbench.measures import metrics
 from vdmbench.store.cases import read_case
@@ -175,22 +174,6 @@ def test_another_metric_version_costs_no_solve(
         assert series.version == 99
         assert_allclose(series.values, 2 * b.metrics["vdm-vector"][name].values, rtol=1e-12, atol=0)
     assert not made, "nothing is set up or solved"
-
-
-def test_a_reference_that_failed_is_no_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    answer = models.Prepared.answer
-
-    def failing(self: models.Prepared, loads: Any, **how: Any) -> Any:
-        result = answer(self, loads, **how)
-        if self.model.name != "fem-linear":
-            return result
-        stopped = Status("diverged", "it did not converge", "do this")
-        return dataclasses.replace(result, status=(stopped,) * len(result.status))
-
-    monkeypatch.setattr(models.Prepared, "answer", failing)
-    plan = plan_of(tmp_path, tmp_path / "cache", uncertainty=None)
-    failed = [(task.kind, said.remedy) for task, said in outcomes_of(plan) if not said.ok]
-    assert failed == [("case", "do this")] * 4
 
 
 @pytest.mark.parametrize("displacements", [[-0.001, -0.002], [-0.001, 0.0]])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.command import vdmbench
+from tests.command import vdmbench, write_study
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.refine import Hierarchy
 from vdmbench.measures.case import CaseResult
@@ -17,6 +18,7 @@ from vdmbench.report.headline import summary
 from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import load_study
+from vdmbench.verdict.digest import digest_of
 from vdmbench.work.keys import Wanted
 from vdmbench.work.reached import at_what_was_reached
 
@@ -129,3 +131,55 @@ def test_boundary_elements_and_their_reference_are_compared_where_either_ends(tm
                 alone = run_model(way, name).displacement[1]
                 largest = np.abs(alone).max()
                 assert_allclose(result.displacement[place], alone, rtol=0, atol=1e-6 * largest, err_msg=name)
+
+
+def test_a_reference_without_any_answer_stops_alone(tmp_path: Path) -> None:
+    write_study(tmp_path, small=('"0.1 N"', '"1e-18 N"'), coarse=('"16 mm"', '"30 mm"'),
+                finite=("fem-linear", "fem"), levels=("[load]", "[uncertainty]\nlevels = 2\n[load]"))  # fmt: skip
+    _stops_alone(tmp_path, "small.toml", "fem refined", "vdm-paper", "rounding of its coordinates")
+
+
+@pytest.mark.slow
+def test_a_reference_without_a_rest_shape_stops_alone(tmp_path: Path) -> None:
+    text = _written(tmp_path, [1.0]).read_text()
+    for old, new in {
+        '"vdm-vector"': '"bem:nonlinear"',
+        '"1 kPa"': '"0.5 kPa"',
+        "0.4999": "0.49",
+        "[gravity]": "[gravity]\nscanned = true",
+        "800 Pa": "10 Pa",
+    }.items():
+        text = text.replace(old, new)
+    (tmp_path / "soft.toml").write_text(text)
+    _stops_alone(tmp_path, "soft.toml", "fem", "bem:nonlinear", "no rest shape")
+
+
+def _stops_alone(folder: Path, study: str, reference: str, model: str, why: str) -> None:
+    result = vdmbench("run", study, "--out", "out", "--cache", folder / "cache", cwd=folder)
+    assert result.returncode == 3, result.stderr
+    run = read_run(folder / "out")
+    (case,) = run.cases
+    assert (case.reference, case.reached, case.reference_error) == (reference, -1, {})
+    assert why in case.models[reference].status[0].message
+    assert np.isfinite(case.models[model].displacement).all()
+    assert np.isnan(case.metrics[model]["relative_l2_displacement_error"].values).all()
+    told = summary(run)
+    assert {verdict["word"] for verdict in told["verdicts"].values()} == {"not judged"}
+    assert told["judgement"]["unreached"][0]["share"] == 0.0
+    assert model not in {one["model"] for one in told["stopped"]}
+    assert digest_of(run).focus == model
+    assert why in (folder / "out" / "report.html").read_text()
+
+
+def test_a_refined_reference_without_an_answer_leaves_that_of_the_mesh(tmp_path: Path) -> None:
+    study = load_study(_written(tmp_path, [1.0], weight=0.1))
+    mesh = build_mesh(study.geometry)
+    scene = build_scene(study, mesh)
+    nothing_held = dataclasses.replace(scene, fixed=np.zeros_like(scene.fixed))
+    answer, refused = run_model(scene, "fem"), run_model(nothing_held, "fem")
+    found = [(Wanted("fem", level, "", (), ()), one) for level, one in enumerate((answer, refused))]
+    places, merged = at_what_was_reached(study, scene, found, lambda _: Hierarchy((mesh,)))
+    assert places.tolist() == [1.0]
+    assert [result.status for _, result in merged] == [answer.status, refused.status]
+    assert not refused.status[0].ok
+    assert_allclose(merged[0][1].displacement, answer.displacement)
