@@ -67,32 +67,8 @@ def spread_cell(spread: Spread | None, unit: str) -> Cell | None:
 
 
 @dataclass(frozen=True)
-class Column:
-    """A table's column; `unit` is that of `Cell.value`."""
-
-    title: str
-    detail: str = ""
-    numeric: bool = True
-    unit: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows of cells. Rows beyond `open_rows` are folded away, not left out."""
-
-    template: ClassVar[str] = "table"
-    name: str  # of the CSV file
-    caption: str
-    columns: Sequence[Column]
-    rows: Sequence[Sequence[Cell]]
-    marks: Sequence[int | None] = ()  # per row: the model whose colour it carries
-    open_rows: int = 30
-    tools: bool = True  # whether it can be copied, saved and sorted
-
-
-@dataclass(frozen=True)
 class Field:
-    """A column of `frame_table`: how it is called and what it takes from a row.
+    """A column of a table: how it is called and what it takes from a row.
 
     Attributes
     ----------
@@ -106,6 +82,11 @@ class Field:
     unit: str = ""
     detail: str = ""
     bar: Callable[[Any], float] | None = None
+
+    @property
+    def shown_unit(self) -> str:
+        """The unit that stands in the head of a file, "" of a text and of what has none."""
+        return self.unit.replace("#", "")
 
     def cell(self, row: Any) -> Cell:
         """The entry of a row."""
@@ -124,6 +105,20 @@ class Field:
         return of_unit(value, self.unit)
 
 
+@dataclass(frozen=True)
+class Table:
+    """Rows of cells. Rows beyond `open_rows` are folded away, not left out."""
+
+    template: ClassVar[str] = "table"
+    name: str  # of the CSV file
+    caption: str
+    columns: Sequence[Field]
+    rows: Sequence[Sequence[Cell]]
+    marks: Sequence[int | None] = ()  # per row: the model whose colour it carries
+    open_rows: int = 30
+    tools: bool = True  # whether it can be copied, saved and sorted
+
+
 def frame_table(
     rows: Sequence[Any],
     fields: Sequence[Field],
@@ -138,15 +133,7 @@ def frame_table(
     """
     cells = [[field.cell(row) for field in fields] for row in rows]
     kept = [k for k in range(len(fields)) if k == 0 or any(row[k].text != NOTHING for row in cells)]
-    columns = [
-        Column(
-            fields[k].title,
-            fields[k].detail,
-            numeric=bool(fields[k].unit),
-            unit=fields[k].unit.replace("#", ""),
-        )
-        for k in kept
-    ]
+    columns = [fields[k] for k in kept]
     marks = [mark(row) for row in rows] if mark is not None else ()
     shown = {"caption": "", **about}
     return Table(name, columns=columns, rows=[[row[k] for k in kept] for row in cells], marks=marks, **shown)
@@ -171,7 +158,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Code:
-    """Text to copy: commands, a study file."""
+    """Text to copy: commands, a study file, what it was run with."""
 
     template: ClassVar[str] = "code"
     text: str
@@ -179,22 +166,12 @@ class Code:
 
 
 @dataclass(frozen=True)
-class Facts:
-    """Names and values, one per line."""
-
-    template: ClassVar[str] = "facts"
-    rows: Sequence[tuple[str, str]]
-    summary: str = ""
-
-
-@dataclass(frozen=True)
 class Still:
-    """A picture of panels side by side, each as (title, colour map, what its brightest colour stands for)."""
+    """A picture and what it shows in words."""
 
     title: str
     url: str  # with the data in it
     words: str
-    panels: Sequence[tuple[str, str, str]]
 
 
 @dataclass(frozen=True)
@@ -217,7 +194,7 @@ class Scene:
     cut: Sequence[Markup] = ()
 
 
-Block = Text | Table | Figures | Code | Facts | Viewer
+Block = Text | Table | Figures | Code | Viewer
 
 
 @dataclass(frozen=True)

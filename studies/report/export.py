@@ -17,7 +17,7 @@ from ..store.cases import no_formula
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING
 from ..verdict.palette import COLOURS
-from .blocks import Cell, Column, Figure, Figures, Section, Table
+from .blocks import Cell, Field, Figure, Figures, Section, Table
 from .page import asset, every_section
 from .plots import MARKER_PATHS, shape
 from .section_scene import scene
@@ -113,14 +113,14 @@ def table_latex(table: Table, caption: str) -> str:
     rows = [[_words(cell).replace("\n", " ") for cell in row] for row in table.rows]
     shown = DataFrame(rows, columns=range(len(heads))).style.hide(axis="index").format(escape="latex")
     shown = shown.format_index(lambda k: heads[k], escape="latex", axis="columns")
-    align = "".join("r" if column.numeric else "l" for column in table.columns)
+    align = "".join("r" if column.unit else "l" for column in table.columns)
     escaped = caption.translate({ord(c): f"\\{c}" for c in "&%$#_{}"})
     return shown.to_latex(hrules=True, column_format=align, caption=escaped).translate(_LATEX)
 
 
-def _head(column: Column) -> str:
+def _head(column: Field) -> str:
     words = " ".join(filter(None, (column.title, column.detail)))
-    return no_formula(f"{words} [{column.unit}]" if column.unit else words)
+    return no_formula(f"{words} [{column.shown_unit}]" if column.shown_unit else words)
 
 
 def _words(cell: Cell) -> str:

@@ -13,8 +13,6 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
-from matplotlib import colormaps
-from matplotlib.colors import to_hex
 
 from ..machine import write_atomically
 from ..measures.case import Run
@@ -25,7 +23,6 @@ from ..verdict.verdict import verdicts
 from ..verdict.words import BESIDE, told
 from . import headline, picture
 from .blocks import Section, Viewer
-from .picture import COLOUR_MAPS
 from .plots import MARKER_PATHS, shape
 from .section_charts import (
     error_against_load,
@@ -49,7 +46,6 @@ class PictureError(ValueError):
 
 
 MOST_BYTES = 5_000_000
-_STOPS = 12  # of a colour map where it is a gradient
 _NAME = re.compile(r"\b[a-z]+(?:-[a-z0-9:]+)+|\b[a-z_]+(?:\.[a-z0-9_]+)+")  # of a model or a key
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -198,9 +194,6 @@ def _environment() -> Environment:
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     environment.filters["shape"] = shape
     environment.globals["marker_paths"] = MARKER_PATHS
-    environment.globals["ramps"] = {
-        name: [to_hex(colormaps[name](k / _STOPS)) for k in range(_STOPS + 1)] for name in COLOUR_MAPS
-    }
     environment.filters["unbroken"] = unbroken
     return environment
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 import warnings
 import zlib
@@ -17,13 +16,11 @@ from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.image import imsave
 from matplotlib.transforms import IdentityTransform
 
 from solver_common.arrays import Array
 
-from ..verdict.formatting import quantity, scale_of
-from .blocks import Still
+from ..verdict.formatting import scale_of
 
 ELEVATION = np.radians(22.0)
 FINER = 2  # drawn so many times as large, then averaged: smooth outlines
@@ -81,8 +78,8 @@ def averaged(drawn: np.ndarray) -> np.ndarray:
 
 COLOUR_MAPS = ("viridis", "inferno")  # of displacements, of differences
 _PANEL = 420  # pixels
-# of a picture with labels: dots per inch, pixels of height for them, letters of a line above one panel
-_DPI, _LABELS, _LETTERS = 100, 150, 55
+# of the labels: dots per inch, pixels of a line above and of the scale below a panel, letters of such a line
+_DPI, _LINE, _SCALE, _LETTERS = 100, 20, 70, 55
 _MARGIN = 1.06  # of the body's extent, seen from the camera
 _SHAPES = (0.45, 1.1)  # least and largest height of a panel over its width
 _NO_METADATA: Any = {"Software": None}
@@ -102,45 +99,32 @@ class Panel:
     top: float = 1.0  # what the value 1 stands for [m]
 
 
-def png(panels: Sequence[Panel]) -> bytes:
-    """PNG file of panels side by side, all to one scale, on a transparent ground."""
-    out = io.BytesIO()
-    pixels = np.concatenate(_drawings(panels), axis=1)
-    imsave(out, pixels, format="png", metadata=_NO_METADATA, pil_kwargs=_QUICK)
-    return out.getvalue()
-
-
-def still_of(panels: Sequence[Panel], title: str, words: str) -> Still:
-    """Panels side by side as a picture of the page; `words` say what they show."""
-    url = "data:image/png;base64," + base64.b64encode(png(panels)).decode("ascii")
-    shown = [(panel.title, panel.colour_map, quantity(panel.top, "m")) for panel in panels]
-    return Still(title, url, words, shown)
-
-
-def labelled(panels: Sequence[Panel], heading: Sequence[str]) -> bytes:
-    """PNG file that stands alone: `panels` side by side under lines of `heading`, each with its title and scale."""
+def labelled(panels: Sequence[Panel], heading: Sequence[str] = ()) -> bytes:
+    """PNG file of `panels` side by side, each with its title and scale, under lines of `heading`."""
     out = io.BytesIO()
     with warnings.catch_warnings():
         # a letter that the font lacks is drawn as a box
         warnings.filterwarnings("ignore", "Glyph .* missing")
-        _figure(panels, heading).savefig(out, format="png", metadata=_NO_METADATA)
+        _figure(panels, heading).savefig(out, format="png", metadata=_NO_METADATA, pil_kwargs=_QUICK)
     return out.getvalue()
 
 
 def _figure(panels: Sequence[Panel], heading: Sequence[str]) -> Figure:
     drawings, count = _drawings(panels), len(panels)
     height, width = drawings[0].shape[:2]
-    figure = Figure((count * width / _DPI, (height + _LABELS) / _DPI), _DPI, layout="constrained")
+    whole = height + _LINE * (len(heading) + 1.5) + _SCALE
+    figure = Figure((count * width / _DPI, whole / _DPI), _DPI)
     lines = [shorten(line, count * _LETTERS, placeholder=" …") for line in heading]
-    figure.suptitle("\n".join(lines), fontsize="medium", parse_math=False)
-    places = figure.subplots(1, count, squeeze=False)[0]
-    for axes, panel, pixels in zip(places, panels, drawings, strict=True):
+    figure.suptitle("\n".join(lines), y=1 - 6 / whole, fontsize="medium", parse_math=False)
+    for k, (panel, pixels) in enumerate(zip(panels, drawings, strict=True)):
+        axes = figure.add_axes((k / count, _SCALE / whole, 1 / count, height / whole))
         axes.imshow(pixels)
         axes.set_axis_off()
         axes.set_title(panel.title, fontsize="medium", parse_math=False)
         factor, unit = scale_of("m", [panel.top])
         colours = ScalarMappable(Normalize(0.0, panel.top / factor), panel.colour_map)
-        figure.colorbar(colours, ax=axes, orientation="horizontal", shrink=0.7, label=unit)
+        below = figure.add_axes(((k + 0.15) / count, 0.7 * _SCALE / whole, 0.7 / count, 0.2 * _SCALE / whole))
+        figure.colorbar(colours, cax=below, orientation="horizontal", label=unit)
     return figure
 
 

@@ -25,7 +25,7 @@ from ..verdict.formatting import (
 )
 from ..verdict.verdict import Verdict, verdicts
 from ..verdict.words import TITLES
-from .blocks import Block, Cell, Code, Facts, Field, Section, Text, bar_detail, frame_table, note, spread_cell
+from .blocks import Block, Cell, Code, Field, Section, Text, bar_detail, frame_table, note, spread_cell
 
 _WHY = {
     "unresolved": "unresolved: a finer mesh does not bear it out",
@@ -287,8 +287,8 @@ def how_to_reproduce(digest: Digest) -> Section:
     if digest.run.study_text.strip():
         instead = ", whose geometry --surface replaced" if "--surface" in words else ""
         blocks.append(Code(digest.run.study_text.rstrip(), summary=f"The study file{instead}"))
-    if told := _provenance(digest):
-        blocks.append(Facts(told, summary="Packages, machine and meshes"))
+    if told := "\n".join(f"{what}: {values}" for what, values in _provenance(digest)):
+        blocks.append(Code(told, summary="Packages, machine and meshes"))
     return Section("reproduce", "How to reproduce", blocks)
 
 

@@ -18,8 +18,8 @@ from solver_common.arrays import Array
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
 from ..verdict.formatting import capital, plain, quantity
-from .blocks import Section, Viewer, note
-from .picture import COLOUR_MAPS, Panel, still_of
+from .blocks import Section, Still, Viewer, note
+from .picture import COLOUR_MAPS, Panel, labelled
 from .scene_picture import KINDS, Stage
 from .section_scene import parts_of
 
@@ -32,7 +32,7 @@ def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
         yield []
         return
     drawn = [(digest.title(*key), *still(digest, key[1])) for key in digest.key_cases] if stills else []
-    shown = [still_of(panels, title, words) for title, panels, words in drawn if panels]
+    shown = [Still(title, _url(labelled(panels)), words) for title, panels, words in drawn if panels]
     cases, models = [case for _, case in digest.key_cases], digest.models
     few = [name for name in models if name in (digest.focus, digest.reference)]
     roles = [role for role, _ in digest.key_cases]
@@ -43,6 +43,10 @@ def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
         data = payload(digest, *asked) if asked else None
         viewer = Viewer(data, shown, note("viewer", lean, few[0]))
         yield [Section("surface", "Where on the surface", [intro, viewer])]
+
+
+def _url(png: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:

@@ -14,7 +14,7 @@ from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.registry import FINITE_STRAIN, Family, is_linear, is_surface, split
 from .acceptance import BEYOND, FRAME_TIME, LOST, OPEN, WITHIN, Criterion
-from .digest import Digest, failed_steps
+from .digest import NORMAL, Digest, failed_steps
 
 MODEL, LEFT_OUT, SMALL_STRAIN, MESH = "model", "left out", "small strain", "mesh"
 COMPRESSIBILITY = "compressibility"
@@ -244,19 +244,29 @@ RESTING, MOVING, CUTTING, EXACT = (
 
 @dataclass(frozen=True)
 class Figures:
-    """A model with medians over the cases: both errors, a frame and the set-up [s], and cases within the limits.
+    """A model in numbers, medians over the cases; NaN where not known.
 
-    `same` where it has the reference's own numbers on its mesh, of which no error tells anything.
+    Attributes
+    ----------
+    lead, value, bar : the number that leads in words, the normal error of a model that moves along normals, else
+        the displacement error; its value, and the reference's own part in it
+    displacement, deformation : both errors
+    frame, set_up : times [s]
+    same : whether it has the reference's own numbers on its mesh, of which no error tells anything
+    within, cases : cases within all limits, of all
     """
 
     model: str
-    displacement: float
-    deformation: float
-    frame: float
-    set_up: float
-    same: bool
-    within: int
-    cases: int
+    lead: str = ""
+    value: float = math.nan
+    bar: float = math.nan
+    displacement: float = math.nan
+    deformation: float = math.nan
+    frame: float = math.nan
+    set_up: float = math.nan
+    same: bool = False
+    within: int = 0
+    cases: int = 0
 
 
 @dataclass(frozen=True)
@@ -322,7 +332,7 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
     reference = digest.reference
     if told and reference is not None and digest.usual_share(best) > 1.0:
         costs = digest.costs[reference]
-        own = Figures(reference, math.nan, math.nan, costs.frame, costs.set_up, True, 0, len(digest.cases))
+        own = Figures(reference, frame=costs.frame, set_up=costs.set_up, same=True)
         return Advice(EXACT, "reference", (own,))
     return Advice(EXACT, "closer surface" if best in surface else "elements", (figures(digest, best),))
 
@@ -331,16 +341,21 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
 
 
 def figures(digest: Digest, name: str) -> Figures:
-    """What is known of a model."""
+    """What is known of a compared model."""
+    metric, costs = digest.leading(name), digest.costs[name]
+    lead = digest.spread(name, metric)
     return Figures(
-        name,
-        digest.median(name, VECTOR),
-        digest.median(name, DEFORMATION),
-        digest.costs[name].frame,
-        digest.costs[name].set_up,
-        digest.same_as_reference(name),
-        int((digest.standing(name) == WITHIN).sum()),
-        len(digest.cases),
+        model=name,
+        lead="normal error" if metric == NORMAL else "displacement error",
+        value=lead.median if lead else math.nan,
+        bar=lead.median_bar if lead else math.nan,
+        displacement=digest.median(name, VECTOR),
+        deformation=digest.median(name, DEFORMATION),
+        frame=costs.frame,
+        set_up=costs.set_up,
+        same=digest.same_as_reference(name),
+        within=int((digest.standing(name) == WITHIN).sum()),
+        cases=len(digest.cases),
     )
 
 

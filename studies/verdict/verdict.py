@@ -17,7 +17,7 @@ import numpy as np
 
 from ..machine import plain
 from ..measures import uncertainty
-from ..measures.metrics import DEFORMATION, VECTOR
+from ..measures.metrics import VECTOR
 from ..scene.warnings import scene_warnings
 from ..study.registry import FINITE_STRAIN, SURFACE, Family, family_of, split
 from .acceptance import (
@@ -34,8 +34,8 @@ from .acceptance import (
     up_to,
     word_of,
 )
-from .advice import Advice, Reason, by_interaction, reasons
-from .digest import NORMAL, Digest, Outside, Unreached, failed_steps, median_known
+from .advice import Advice, Figures, Reason, by_interaction, figures, reasons
+from .digest import Digest, Outside, Unreached, failed_steps, median_known
 from .reading import reading
 
 _WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these that a model has
@@ -72,26 +72,6 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Lead:
-    """The number that leads: the normal error of a model that moves along normals, else the displacement error.
-
-    Attributes
-    ----------
-    metric, name : which, and in words
-    value, bar : median over the judged cases, and the reference's own part in it
-    deformation : median error in change of shape
-    floor : the least displacement error that a motion along normals leaves, NaN for other models
-    """
-
-    metric: str
-    name: str
-    value: float
-    bar: float
-    deformation: float
-    floor: float
-
-
-@dataclass(frozen=True)
 class Verdict:
     """The answer for one family.
 
@@ -101,11 +81,9 @@ class Verdict:
     word : yes, no, undecided or not judged: that of the worst judged case
     models : those of the family that are compared
     model : the one that decides, which all below is about
-    lead : the number that leads, None where nothing is known
-    frame : what a frame takes [s], NaN where not known
+    figures : what is known of it; None where none decides
     judged, within, undecided, beyond, unanswered : cases
     limits : one entry a limit
-    same : whether it has the reference's own numbers to rounding on the same mesh, which tells nothing of accuracy
     why_not : causes, of what is not within
     up_to : the load up to which every judged case is within; None where the loads are not known
     states : hash of each case -> its word
@@ -115,15 +93,13 @@ class Verdict:
     word: str = NOT_JUDGED
     models: tuple[str, ...] = ()
     model: str = ""
-    lead: Lead | None = None
-    frame: float = math.nan
+    figures: Figures | None = None
     judged: int = 0
     within: int = 0
     undecided: int = 0
     beyond: int = 0
     unanswered: int = 0
     limits: tuple[Limit, ...] = ()
-    same: bool = False
     why_not: tuple[Reason, ...] = ()
     up_to: UpTo | None = None
     states: dict[str, str] = field(default_factory=dict)
@@ -275,19 +251,17 @@ def _why_nothing_is_judged(digest: Digest) -> str:
 def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verdict:
     """The verdict of a family over the cases in range."""
     model = digest.deciding(family)
-    states, lead = digest.standing(model), _lead(digest, model)
+    states = digest.standing(model)
     judged = {case.hash: WORD[state] for case, state in zip(digest.cases, states.tolist(), strict=True)}
     return Verdict(
         family=family.value,
         word=word_of(states.tolist()),
         models=digest.families[family],
         model=model,
-        lead=lead,
-        frame=digest.costs[model].frame,
+        figures=figures(digest, model),
         judged=len(states),
         **_counts(states),
         limits=tuple(_limit(digest, model, one) for one in digest.criteria),
-        same=digest.same_as_reference(model),
         why_not=reasons(digest, model),
         up_to=up_to(digest.known_loads, digest.worst_states(model, of_load=True)),
         states={**unjudged, **judged},
@@ -297,16 +271,6 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
 def _counts(states: States) -> dict[str, int]:
     kinds = {"within": WITHIN, "undecided": OPEN, "beyond": BEYOND, "unanswered": LOST}
     return {name: int((states == kind).sum()) for name, kind in kinds.items()}
-
-
-def _lead(digest: Digest, model: str) -> Lead | None:
-    metric = digest.leading(model)
-    found = digest.spread(model, metric)
-    if found is None:
-        return None
-    name = "normal error" if metric == NORMAL else "displacement error"
-    shape, floor = digest.median(model, DEFORMATION), digest.floor(model)
-    return Lead(metric, name, found.median, found.median_bar, shape, floor)
 
 
 def _limit(digest: Digest, model: str, one: Criterion) -> Limit:

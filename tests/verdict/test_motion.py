@@ -12,8 +12,8 @@ from tests.report.runs import REFERENCE, make_case, make_run
 from tests.vdm.vdm_shapes import icosphere
 from vdmbench.body.surface_measures import Surface, weighted_norm
 from vdmbench.measures.case import Run
-from vdmbench.measures.metrics import METRICS, VECTOR, History
-from vdmbench.verdict.digest import NORMAL, Digest
+from vdmbench.measures.metrics import METRICS, History
+from vdmbench.verdict.digest import Digest
 from vdmbench.verdict.verdict import verdicts
 from vdmbench.work.case import compare
 
@@ -70,8 +70,8 @@ def test_the_normal_error_leads_for_a_form_along_normals_beside_its_floor() -> N
     assert_allclose(digest.floor("vdm-paper"), floor, rtol=1e-12, atol=0)
     assert np.isnan(digest.floor("vdm-vector"))
     found = verdicts(digest)
-    printed, derived = found["vdm-printed"].lead, found["vdm-derived"].lead
+    printed, derived = found["vdm-printed"].figures, found["vdm-derived"].figures
     assert printed is not None
     assert derived is not None
-    assert (printed.metric, derived.metric) == (NORMAL, VECTOR)
-    assert_allclose([printed.value, printed.floor], [0.1, floor], rtol=1e-9, atol=0)
+    assert (printed.lead, derived.lead) == ("normal error", "displacement error")
+    assert_allclose(printed.value, 0.1, rtol=1e-9, atol=0)

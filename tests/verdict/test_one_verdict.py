@@ -45,10 +45,10 @@ def test_page_terminal_json_and_notebook_say_the_same(capsys: pytest.CaptureFixt
     words = told(found)
     assert len(words.rows) == 2
     for row, one in zip(words.rows, found.asked, strict=True):
-        assert one.lead is not None
-        number = with_bar(one.lead.value, one.lead.bar)
+        assert one.figures is not None
+        number = with_bar(one.figures.value, one.figures.bar)
         assert f"{row.title}: {row.word}. {row.text}" in terminal
-        assert f"{one.lead.name} {number}" in row.numbers
+        assert f"{one.figures.lead} {number}" in row.numbers
         assert f"{row.title} {row.word} {one.model} {' '.join(row.numbers)}" in page
         assert row.text in notebook
     for sentence in words.notes:
