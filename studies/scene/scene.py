@@ -216,8 +216,6 @@ def build_scene(
         _require_nodes(name, study, mesh, masks, ("regions", name))
         on = PlacedConstraint(constraint, place, regions[name], mesh, masks[name])
         acting.append((on, _acts(on)))
-    if study.acceptance.region is not None:
-        _require_nodes(study.acceptance.region, study, mesh, masks, ("acceptance", "region"))
     fixed, constrained, prescribed = _held(acting, len(mesh.surface_nodes))
     _check_apart(study, masks, fixed, constrained, mesh.triangles)
     pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))

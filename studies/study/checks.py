@@ -13,7 +13,7 @@ from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_tw
 from .fields import unit_of
 from .kinds import Table, given
 from .measured import Measured, same_load
-from .registry import BROKEN, DISPLACEMENT_ELEMENTS, RENAMED, find, is_surface, model_names, reads, split
+from .registry import BROKEN, DISPLACEMENT_ELEMENTS, find, is_surface, model_names, reads, split
 from .schema import (
     LAW_KEYS,
     LAWS,
@@ -50,7 +50,6 @@ def check(study: Study) -> Iterator[Finding]:
         text = f"makes a load history of {count:,} steps, more than the {MOST_STEPS:,} allowed; take fewer"
         yield ("load", "steps"), text
     yield from _check_loads(study, None if of_body else max(_sizes(study.geometry), default=None))
-    yield from _check_acceptance(study)
     yield from _check_measured(study)
 
 
@@ -63,9 +62,7 @@ def _check_models(study: Study) -> Iterator[Finding]:
         yield ("study", "models"), "name at least one model"
     for place, name in enumerate(info.models):
         if name not in known:
-            base, colon, solver = name.partition(":")
-            told = f"{name} is now {RENAMED[base]}{colon}{solver}" if base in RENAMED else ""
-            text = told or "; ".join([unknown(name, known, "model"), *BROKEN.values()])
+            text = "; ".join([unknown(name, known, "model"), *BROKEN.values()])
             yield ("study", "models", place), text
         elif name in info.models[:place]:
             yield ("study", "models", place), f"{shown(name)} is listed twice"
@@ -267,18 +264,6 @@ def _mixed_up(size: float, unit: str, modulus: float, extent: float | None) -> s
             'A bare number is in metres; write "5 mm"'
         )
     return ""
-
-
-def _check_acceptance(study: Study) -> Iterator[Finding]:
-    """A region that is there, and has a limit to go with."""
-    region = study.acceptance.region
-    if region is None:
-        return
-    if region not in study.regions:
-        yield ("acceptance", "region"), unknown(region, list(study.regions), "region")
-    if study.acceptance.largest_difference is None:
-        text = 'decides nothing without largest_difference; give that, such as "1 mm", or leave region out'
-        yield ("acceptance", "region"), text
 
 
 # --- regions and inclusions ---

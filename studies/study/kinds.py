@@ -118,15 +118,6 @@ def nonzero(value: Vector3) -> Vector3:
     return value
 
 
-def _no_nodal_rotation(value: Any) -> Any:
-    if value == "nodal":
-        raise ValueError(
-            "is gone, as its answer grows without limit on finer meshes; "
-            'write rotation = "global", one rotation for the body, or leave it out'
-        )
-    return value
-
-
 def _as_share(value: Any) -> Any:
     """A text such as "5 %" as the number that it is; a plain number stays."""
     if not isinstance(value, str):
@@ -161,7 +152,7 @@ LineForce = Annotated[float, SI("N/m"), not_negative]
 Pressure = Annotated[float, SI("Pa")]
 Name = Annotated[str, AfterValidator(safe_name)]
 Axis = Literal["x", "y", "z"]
-Rotation = Annotated[Literal["none", "global"], BeforeValidator(_no_nodal_rotation)]
+Rotation = Literal["none", "global"]
 
 
 # --- What all tables of a study file share ---

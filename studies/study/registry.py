@@ -77,7 +77,6 @@ EXTRA_VERSIONS = {
     SCANNED: "2"
 }  # raised whenever how models do an extra changes their numbers; part of the keys
 ENTRY_POINT = "vdmbench.models"
-RENAMED = {"vdm-boundary": "bem", "vdm-sparse": "bem-sparse"}  # model names of earlier versions
 
 
 class Family(StrEnum):

@@ -134,7 +134,6 @@ def parameters_of(tissue: Tissue) -> dict[str, float | tuple[float, ...]]:
 
 Vdm = dict[str, float | str]
 
-CLAIMS = 14  # of the paper, see `vdmbench.claims`
 MOST_STEPS = 10_000  # of a load history: each keeps the displacement of every node
 MOST_NAMES = 200  # of models, regions, constraints
 MOST_VALUES = 100_000  # of an axis of a sweep
@@ -163,11 +162,6 @@ class StudyInfo(Table):
     reference: Annotated[str | None, Enters.CASE] = Field(
         None, description="the model that the others are compared with, one of `models`; none: no comparison"
     )
-    claims: Annotated[
-        tuple[int, ...],
-        number_check(lambda v: 1 <= v <= CLAIMS, f"must be 1 to {CLAIMS}"),
-        Enters.NOTHING,
-    ] = Field((), description="numbers of the paper's claims that the study shows", strict=False)
     condition: bool = Field(
         False, description="whether the models estimate the condition of the system that they solve"
     )
@@ -478,9 +472,6 @@ class Acceptance(Table):
     )
     largest_difference: Length | None = Field(
         None, description="most difference in displacement at any node; none where left out"
-    )
-    region: str | None = Field(
-        None, description="the region whose nodes largest_difference is for; the whole surface where left out"
     )
     frame_time: Time | None = Field(None, description="most time that a frame may take; none where left out")
 

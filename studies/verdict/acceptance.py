@@ -39,7 +39,6 @@ class Criterion:
     key, name : in the study file, and in words
     metric : what is limited, FRAME_TIME for the time of a frame
     allowed : the most that is accepted, in `unit`
-    region : that it is restricted to, "" for none
     """
 
     key: str
@@ -47,7 +46,6 @@ class Criterion:
     metric: str
     allowed: float
     unit: str = "1"
-    region: str = ""
 
     @property
     def of_load(self) -> bool:
@@ -63,9 +61,7 @@ def criteria(study: Study) -> tuple[Criterion, ...]:
         Criterion("deformation_error", "change of shape", DEFORMATION, given.deformation_error),
     ]
     if (most := given.largest_difference) is not None:
-        region = given.region or ""
-        name = f"largest difference in {region}" if region else "largest difference"
-        found.append(Criterion("largest_difference", name, NODAL, most, "m", region))
+        found.append(Criterion("largest_difference", "largest difference", NODAL, most, "m"))
     if (most := given.frame_time) is not None:
         found.append(Criterion(FRAME_TIME, "time per frame", FRAME_TIME, most, "s"))
     return tuple(found)

@@ -271,12 +271,7 @@ class Digest:
     def limited(self, model: str, one: Criterion) -> tuple[Array, Array]:
         """(C, S) what a criterion limits and (C,) the reference's own part in it; NaN where there is none."""
         values = self.history(model, one.metric)
-        if one.region:
-            # the reference's own part in a region is no more than at any node
-            values = np.full(values.shape, math.nan)
-            for row, case in zip(values, self.cases, strict=True):
-                row[: len(case.load_factors)] = _differences(case, model, one.region)
-        elif not one.of_load:
+        if not one.of_load:
             times = [frame_time(case.models.get(model)) for case in self.cases]
             values = np.broadcast_to(np.array(times)[:, None], values.shape)
         return values, self.bars(one.metric)
@@ -510,15 +505,6 @@ class Digest:
             found |= {ONCE} if frames is None else set()
             found |= {ELSEWHERE} if machine not in here else set()
         return tuple(mark for mark in (ELSEWHERE, ONCE) if mark in found)
-
-
-def _differences(case: CaseResult, model: str, region: str) -> Array:
-    """(S,) largest |u - r| of a region's nodes [m]; NaN where there is none."""
-    mask, reference = case.regions.get(region), case.models.get(str(case.reference))
-    if mask is None or not mask.any() or reference is None or model not in case.models:
-        return np.full(len(case.load_factors), math.nan)
-    gaps = case.models[model].displacement[:, mask] - reference.displacement[:, mask]
-    return np.asarray(np.linalg.norm(gaps, axis=2).max(axis=1))
 
 
 def _largest(case: CaseResult, model: str | None) -> float:

@@ -48,7 +48,7 @@ class Limit:
 
     Attributes
     ----------
-    key, name, region : in the study file, in words, and the region that it is restricted to, "" for none
+    key, name : in the study file, and in words
     word : yes, no, undecided or not judged
     value, bar : the number that decides, of the worst case, and the reference's own part in it, NaN where not known
     allowed, unit : the most that is accepted
@@ -58,7 +58,6 @@ class Limit:
 
     key: str
     name: str
-    region: str
     word: str
     value: float
     bar: float
@@ -284,7 +283,6 @@ def _limit(digest: Digest, model: str, one: Criterion) -> Limit:
     return Limit(
         key=one.key,
         name=one.name,
-        region=one.region,
         word=word_of(asked.tolist()),
         value=float(values[worst]) if worst is not None else math.nan,
         bar=float(bars[worst]) if worst is not None else math.nan,

@@ -35,7 +35,6 @@ def summary(plan: Plan) -> dict[str, Any]:
             "title": study.title,
             "models": list(study.models),
             "reference": study.reference,
-            "claims": list(study.claims),
             "sweep": plan.study.sweep.mode,
             "acceptance": plan.study.acceptance.model_dump(exclude_none=True),
         },

@@ -25,7 +25,6 @@ def shipped(name: str) -> Study:
 def test_check_and_plan(name: str, tmp_path: Path) -> None:
     study = shipped(name)
     planned = summary(make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache"))
-    assert planned["study"]["claims"] == list(study.study.claims)
     assert len(planned["cases"]) == planned["cases_to_run"] >= 1, "no case repeats another"
     assert study.study.name == name
     assert study.study.title != name
