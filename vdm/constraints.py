@@ -50,22 +50,6 @@ class Load:
             None if self.dead_force is None else factor * self.dead_force,
         )
 
-    @classmethod
-    def from_facet_pressure(
-        cls, surface: SurfaceMesh, facet_pressure: ArrayLike, prescribed: Array | None = None
-    ) -> Load:
-        """A pressure per facet (F,) [Pa], a third of its force to each of its nodes."""
-        pressure = np.asarray(facet_pressure, dtype=np.float64)
-        if pressure.shape != surface.facet_areas.shape:
-            raise ConstraintError(
-                f"facet_pressure must have shape {surface.facet_areas.shape}, not {pressure.shape}"
-            )
-        nodes = surface.triangles.ravel()
-        thrust = np.bincount(nodes, np.repeat(pressure * surface.facet_areas / 3.0, 3), surface.n_nodes)
-        facet_force = -pressure[:, None] * surface.facet_vectors / 3.0
-        force = [np.bincount(nodes, np.repeat(facet_force[:, c], 3), surface.n_nodes) for c in range(3)]
-        return cls(thrust / surface.nodal_areas, np.stack(force, axis=1), prescribed)
-
 
 @dataclass(frozen=True)
 class Support:

@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 
 from solver_common.condition import estimated_norm, operator
-from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, WITH_MATRIX
-from vdm import Model, Parameters
-
-
-def model(formulation: str, rotation: str = "global", **options) -> Model:
-    rule = Parameters.from_tissue(5000.0, BODY, formulation, rotation)
-    return Model(POINTS, TRIANGLES, rule, formulation=formulation, **{"fixed": BASE, **options})
+from tests.vdm.vdm_shapes import WITH_MATRIX, model
+from vdm import Model
 
 
 def dense_operator(body: Model) -> tuple[np.ndarray, np.ndarray]:

@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import sparse
 
-from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES
-from vdm import FORMULATIONS, Load, Model, ParameterError, Parameters
+from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, model, pressed
+from vdm import FORMULATIONS, Load, Parameters
 from vdm.deformed import DeformableSurface
 from vdm.formulations.base import Formulation
 
@@ -93,20 +93,9 @@ def test_the_internal_force_turns_with_the_body_and_has_no_moment(form):
     assert abs(form.deformed_energy(rigid, DEFORMABLE.at(rigid))) < 1e-11 * form.deformed_energy(u, state)
 
 
-def model(formulation: str, **options) -> Model:
-    return Model(
-        POINTS,
-        TRIANGLES,
-        TISSUE[formulation],
-        formulation=formulation,
-        solver="nonlinear",
-        **{"fixed": BASE, **options},
-    )
-
-
 @pytest.mark.parametrize("formulation", ["consistent", "vector", "bem"])
 def test_the_energy_is_the_work_of_the_load_and_goes_back_with_it(formulation):
-    body = model(formulation)
+    body = model(formulation, TISSUE[formulation], solver="nonlinear")
 
     def history(shares):
         loads = [SIDE.scaled(s) for s in shares]
@@ -140,10 +129,10 @@ def test_a_support_that_turns_turns_the_answer(formulation, angle):
     """Held nodes turned by 57 and 172 degrees under facet pressures that follow the surface: the answer, turned."""
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-    body = model(formulation, fixed=None, constrained=BASE)
+    body = model(formulation, TISSUE[formulation], solver="nonlinear", fixed=None, constrained=BASE)
     facets = np.where((SIDE.contact_pressure[TRIANGLES] > 0.0).all(axis=1), 300.0, 0.0)
-    pushed = Load.from_facet_pressure(BODY, facets, np.zeros_like(POINTS))
-    moved = Load.from_facet_pressure(BODY, facets, np.where(BASE[:, None], POINTS @ turn - POINTS, 0.0))
+    pushed = pressed(BODY, facets, np.zeros_like(POINTS))
+    moved = pressed(BODY, facets, np.where(BASE[:, None], POINTS @ turn - POINTS, 0.0))
     still, turned = (body.solve([load]) for load in (pushed, moved))
     assert still.status[0].ok
     assert turned.status[0].ok
@@ -166,23 +155,15 @@ def test_the_body_is_carried_only_by_supports_that_move_as_one():
     """Two nodes say nothing of a rotation about their line: none is made. A finger that pushes carries nothing."""
     ends = np.isin(np.arange(len(POINTS)), [POINTS[:, 2].argmin(), POINTS[:, 2].argmax()])
     rotation_free = Parameters(surface_tension=100.0, rotation="none")
-    rod = Model(
-        POINTS, TRIANGLES, rotation_free, formulation="vector", constrained=ends, solver="nonlinear"
-    ).solver
+    rod = model("vector", rotation_free, fixed=None, constrained=ends, solver="nonlinear").solver
     rest = np.zeros_like(POINTS)
     shift = np.where(ends[:, None], [0.01, 0.02, 0.0], 0.0)
     moved, turn = rod.carried(rest, shift)
     assert_allclose(turn, np.eye(3), rtol=0.0, atol=1e-12)
     assert_allclose(moved, np.tile([0.01, 0.02, 0.0], (len(POINTS), 1)), rtol=0.0, atol=1e-12)
     finger = POINTS[:, 2] > 0.03
-    pushed = model("vector", constrained=finger).solver
+    pushed = model("vector", constrained=finger, solver="nonlinear").solver
     dent = np.where(finger[:, None], [0.0, 0.0, -0.01], 0.0)
     moved, turn = pushed.carried(rest, dent)
     assert_allclose(turn, np.eye(3), rtol=0.0, atol=0.0)
     assert_allclose(moved, dent, rtol=0.0, atol=0.0)
-
-
-@pytest.mark.parametrize(("shape", "value"), [((4, 4), 1.0), ((3, 6), 1.0), ((3, 3), np.inf)])
-def test_springs_that_are_no_matrix_of_nodes_are_refused(shape: tuple[int, int], value: float) -> None:
-    with pytest.raises(ParameterError, match=r"ground must be finite and of shape \(3N, 3N\)"):
-        Parameters(shear_modulus=1.0, ground=sparse.csr_array(np.full(shape, value)))

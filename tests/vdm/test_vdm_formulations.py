@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.vdm.vdm_shapes import icosphere, torus
-from vdm import Load, Model, Parameters, SurfaceMesh
+from tests.vdm.vdm_shapes import icosphere
+from vdm import Parameters, SurfaceMesh
 from vdm.deformed import DeformableSurface
 from vdm.formulations.consistent import ConsistentFormulation
 from vdm.formulations.paper import PaperFormulation
@@ -104,47 +104,6 @@ def test_consistent_operator_is_its_equation():
         expected[i] += gap
         expected[j] -= gap
     assert_allclose(form.apply(length[:, None])[:, 0], expected, rtol=1e-11, atol=1e-13)
-
-
-@pytest.mark.parametrize("shape", ["sphere", "torus"])
-@pytest.mark.parametrize("formulation", ["paper", "consistent", "vector"])
-def test_linear_solver_equals_lu_of_the_whole_state_matrix(formulation, shape):
-    points, triangles = icosphere(2, (0.05, 0.06, 0.045)) if shape == "sphere" else torus()
-    surface = SurfaceMesh(points, triangles)
-    rng = np.random.default_rng(4)
-    fixed = points[:, 2] < np.quantile(points[:, 2], 0.2)
-    constrained = points[:, 2] > np.quantile(points[:, 2], 0.9)
-    loads = [
-        Load(rng.uniform(0.0, 300.0, len(points)), None, rng.uniform(-1e-3, 1e-3, points.shape))
-        for _ in range(2)
-    ]
-    results = [
-        Model(
-            points,
-            triangles,
-            Parameters.from_tissue(5000.0, surface, formulation),
-            formulation=formulation,
-            fixed=fixed,
-            constrained=constrained,
-            density=1060.0,
-            gravity=(0.0, 1.0, -9.81),
-            environment_pressure=50.0,
-            solver=solver,
-        ).solve(loads)
-        for solver in ("linear", "lu")
-    ]
-    for name in ("displacement", "fluid_pressure", "reaction_force", "energy"):
-        first, second = (getattr(r, name) for r in results)
-        # two direct solvers of a system of condition 1e4
-        assert_allclose(first, second, rtol=1e-10, atol=1e-10 * np.abs(second).max())
-    moved = results[0].displacement[1][constrained]
-    if formulation == "vector":
-        assert_allclose(moved, loads[1].prescribed[constrained], rtol=0.0, atol=0.0)
-    else:
-        normal = np.einsum("ic,ic->i", moved, surface.normals[constrained])
-        target = np.einsum("ic,ic->i", loads[1].prescribed[constrained], surface.normals[constrained])
-        assert_allclose(normal, target, rtol=1e-14, atol=1e-18)
-    assert_allclose(results[0].displacement[:, fixed], 0.0, rtol=0.0, atol=0.0)
 
 
 @pytest.mark.parametrize("name", [*NODE_MODULI, *EDGE_MODULI])

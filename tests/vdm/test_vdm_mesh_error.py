@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import sparse
 
-from tests.vdm.vdm_shapes import box, icosphere
+from tests.vdm.vdm_shapes import box, icosphere, pressed
 from vdm import Load, Model, Parameters
 from vdm.peers.bem_sparse import HalvedFormulation
 from vdm.reservations import LIMIT, reserved
@@ -35,7 +35,7 @@ def standing(n: int, load: str, **options: Any) -> tuple[Model, Load]:
     # half of the top, whose edge is an edge of every mesh of an even number of cells
     centres = model.surface.points[triangles].mean(axis=1)
     on_half = (centres[:, 2] > SIDES[2] - 1e-9) & (centres[:, 0] > 0.5 * SIDES[0])
-    return model, Load.from_facet_pressure(model.surface, np.where(on_half, 10.0, 0.0))
+    return model, pressed(model.surface, np.where(on_half, 10.0, 0.0))
 
 
 @pytest.mark.parametrize(("load", "n", "most"), [("pressed", 2, 1.2), ("moved", 3, 2.7)])

@@ -198,55 +198,6 @@ def test_tension_grows_as_the_root_of_the_distance_from_the_support():
     assert nothing == Parameters.from_tissue(5000.0, BODY, "vector")
 
 
-BAD_PARAMETERS = [
-    ({"parameters": Parameters(bulk_modulus=1.0)}, "needs connectivity_modulus"),
-    ({"parameters": Parameters(bulk_modulus=0.0, connectivity_modulus=0.0), "fixed": BASE}, "both zero"),
-    ({"parameters": Parameters(bulk_modulus=np.ones(3), connectivity_modulus=1.0)}, "162 entries"),
-    ({"outputs": ("colour",)}, "outputs must be one of"),
-    ({"constraint_method": "penalty-added"}, 'needs solver "lu"'),
-    (
-        {"parameters": Parameters(bulk_modulus=1.0, connectivity_modulus=1.0, tension_stiffening=1.0)},
-        "nonlinear",
-    ),
-]
-
-
-@pytest.mark.parametrize(("options", "message"), BAD_PARAMETERS)
-def test_bad_parameters(options, message):
-    with pytest.raises(ParameterError, match=message):
-        model("paper", **options)
-
-
-@pytest.mark.parametrize("youngs", [0.0, -1.0, np.nan, np.inf])
-def test_bad_tissue(youngs):
-    with pytest.raises(ParameterError, match="youngs_modulus"):
-        Parameters.from_tissue(youngs, BODY, "paper")
-
-
-BAD_SCENES = [
-    ({"fixed": np.ones(len(POINTS), dtype=bool)}, "every node"),
-    ({"fixed": np.ones(3, dtype=bool)}, "mask of 162"),
-    ({"fixed": np.zeros(len(POINTS))}, "mask of 162"),
-    ({"density": -1.0}, "density"),
-    ({"gravity": (0.0, np.inf, 0.0)}, "gravity"),
-    ({"solver": "lu", "penalty": 0.0}, "penalty"),
-    (
-        {"fixed": np.arange(162) < 3, "constrained": (np.arange(162) >= 2) & (np.arange(162) < 9)},
-        "^node 2 is both fixed and constrained; take it out",
-    ),
-    (
-        {"fixed": np.arange(162) < 9, "constrained": np.arange(162) < 3},
-        "^node 0 is both .*, and 2 more; take",
-    ),
-]
-
-
-@pytest.mark.parametrize(("options", "message"), BAD_SCENES)
-def test_bad_scenes(options, message):
-    with pytest.raises(ConstraintError, match=message):
-        model("paper", **options)
-
-
 LINE = np.flatnonzero(np.abs(POINTS[:, 1:]).max(axis=1) < 1e-12)  # both ends of one axis
 LOOSE = "free to move without any resistance"
 AREA = "hold an area of the surface, the nodes of some of its facets"

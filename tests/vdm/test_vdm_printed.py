@@ -6,17 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.vdm.vdm_shapes import BODY, POINTS, TRIANGLES, icosphere
-from vdm import Load, Model, Parameters, SurfaceMesh, printed
+from tests.vdm.vdm_shapes import BODY, POINTS, icosphere, model
+from vdm import Load, SurfaceMesh, printed
 from vdm.deformed import DeformableSurface
 
 PUSHED = POINTS[:, 2] > 0.03
 PUSH = Load(np.where(PUSHED, 200.0, 0.0))
-MATERIAL = Parameters.from_tissue(5000.0, BODY, "paper")
-
-
-def model(**options) -> Model:
-    return Model(POINTS, TRIANGLES, MATERIAL, fixed=POINTS[:, 2] < -0.03, **options)
 
 
 def along_normals(displacement: np.ndarray) -> np.ndarray:
@@ -26,7 +21,7 @@ def along_normals(displacement: np.ndarray) -> np.ndarray:
 def test_outside_and_inside_balance_at_every_free_node() -> None:
     """P_ext = P_int (10, 14, 15), where a contact adds its own pressure outside (24)."""
     environment = 300.0
-    body = model(density=1060.0, gravity=(0.0, 0.0, -9.81), environment_pressure=environment)
+    body = model("paper", density=1060.0, gravity=(0.0, 0.0, -9.81), environment_pressure=environment)
     solution = body.solve([PUSH])
     displacement = along_normals(solution.displacement[0])
     fluid = float(solution.fluid_pressure[0])
@@ -60,7 +55,9 @@ def test_columns_from_the_centre_change_as_the_volume_does_and_displacements_twi
 @pytest.mark.parametrize("row", ["printed", "corrected"])
 def test_the_printed_row_of_the_quasi_linear_solver_is_equation_33(row: str) -> None:
     """Sum A_i dL_i + L_i dA_i = 0 from step to step, on the areas that each step starts from; the volume drifts."""
-    solution = model(solver="quasi-linear", volume_row=row).solve([PUSH.scaled(k / 4) for k in range(1, 5)])
+    solution = model("paper", solver="quasi-linear", volume_row=row).solve(
+        [PUSH.scaled(k / 4) for k in range(1, 5)]
+    )
     surface = DeformableSurface(BODY)
     length = [along_normals(u) for u in solution.displacement]
     areas = [BODY.nodal_areas, *(surface.at(u).nodal_areas for u in solution.displacement)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.vdm.vdm_shapes import POINTS, icosphere, model
+from tests.vdm.vdm_shapes import BASE, POINTS, icosphere, model
 from vdm import FORMULATIONS, Load, Model, Parameters
 
 TOP = POINTS[:, 2] > 0.04
@@ -92,3 +92,22 @@ def test_what_the_caller_does_to_a_load_afterwards_changes_no_step(form):
         part[...] = np.nan
     assert np.array_equal(second.reaction_force, before[0])
     assert second.energy == before[1]
+
+
+@pytest.mark.parametrize("solver", ["linear", "quasi-linear", "nonlinear"])
+@pytest.mark.parametrize("formulation", ["vector", "bem"])
+def test_the_block_is_factored_once_for_a_whole_history(formulation, solver, monkeypatch):
+    made: list[tuple[str, int]] = []
+    original = FORMULATIONS[formulation].factor
+
+    def counted(self, free, *options):
+        made.append((type(self).__name__, int(free.sum())))
+        return original(self, free, *options)
+
+    monkeypatch.setattr(FORMULATIONS[formulation], "factor", counted)
+    body = model(formulation, solver=solver)
+    history = body.solve([Load(20.0 * TOP).scaled(s) for s in (0.5, 1.0, 0.2)])
+    body.solve([Load(20.0 * TOP)])
+    assert [status.code for status in history.status] == ["converged"] * 3
+    assert len(set(made)) == len(made)  # the error of the mesh needs a body of its own, once
+    assert made[0] == (FORMULATIONS[formulation].__name__, np.count_nonzero(~BASE))

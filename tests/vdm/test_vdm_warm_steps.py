@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.vdm.vdm_shapes import BODY, POINTS, TRIANGLES, model
-from vdm import Load
+from tests.vdm.vdm_shapes import BODY, POINTS, TRIANGLES, model, pressed
 from vdm.deformed import DeformableSurface
 
 TOP = (POINTS[TRIANGLES][:, :, 2] > 0.03).all(axis=1)
 SIDE = (POINTS[TRIANGLES][:, :, 0] > 0.03).all(axis=1)
-PUSH = Load.from_facet_pressure(BODY, np.where(TOP, 400.0, 0.0))
-NUDGE = Load.from_facet_pressure(BODY, np.where(SIDE, 400.0, 0.0))
+PUSH = pressed(BODY, np.where(TOP, 400.0, 0.0))
+NUDGE = pressed(BODY, np.where(SIDE, 400.0, 0.0))
 
 
 @pytest.mark.parametrize("formulation", ["vector", "bem", "mass-spring"])

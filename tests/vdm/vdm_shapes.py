@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vdm import FORMULATIONS, Model, Parameters, SurfaceMesh
+from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -113,6 +113,15 @@ def model(formulation: str, parameters: Parameters | None = None, **options: Any
     """The body, its base held and its parameters by the rule unless told otherwise."""
     rule = parameters or Parameters.from_tissue(5000.0, BODY, formulation)
     return Model(POINTS, TRIANGLES, rule, formulation=formulation, **{"fixed": BASE, **options})
+
+
+def pressed(surface: SurfaceMesh, facet_pressure: Array, prescribed: Array | None = None) -> Load:
+    """A pressure per facet (F,) [Pa], a third of its force to each of its nodes."""
+    nodes = surface.triangles.ravel()
+    thrust = np.bincount(nodes, np.repeat(facet_pressure * surface.facet_areas / 3.0, 3))
+    force = np.zeros_like(surface.points)
+    np.add.at(force, nodes, np.repeat(-facet_pressure[:, None] * surface.facet_vectors / 3.0, 3, axis=0))
+    return Load(thrust / surface.nodal_areas, force, prescribed)
 
 
 # forms whose operator is a matrix, which every solver takes; the sparse form refuses others by name

@@ -9,10 +9,9 @@ from scipy.special import eval_legendre
 
 from tests.vdm.vdm_shapes import box, icosphere
 from tests.verification.records import Verified
-from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
+from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.boundary.operators import Facets, layers, surface_stiffness
 from vdm.material import ball_compliance
-from vdm.peers.bem import MAX_NODES
 from vdm.surface import rigid_basis
 
 
@@ -177,39 +176,3 @@ def test_a_ratio_next_to_a_half_is_taken_as_a_half_and_less_has_a_mean_pressure(
     assert_allclose(less.displacement, next_to_it.displacement, rtol=0.0, atol=2e-3 * scale)
     assert_allclose(less.fluid_pressure, next_to_it.fluid_pressure, rtol=0.02, atol=0.0)
     assert np.vdot(gradient, far.displacement[0]) < 0.0 < far.fluid_pressure[0]
-
-
-def test_more_nodes_than_a_dense_matrix_takes_are_refused_by_name_and_size():
-    points, triangles = icosphere(4)
-    assert len(points) > MAX_NODES
-    with pytest.raises(SolverError, match=f"2,562 nodes are more than the {MAX_NODES:,}"):
-        Model(points, triangles, Parameters(shear_modulus=1.0), formulation="bem", fixed=points[:, 2] < 0.0)
-
-
-def test_a_compressible_body_at_large_displacements_is_refused():
-    points, triangles = icosphere(1)
-    with pytest.raises(ParameterError, match="a fluid that keeps the volume"):
-        Model(
-            points,
-            triangles,
-            Parameters(shear_modulus=1.0, poisson_ratio=0.3),
-            formulation="bem",
-            solver="nonlinear",
-            fixed=points[:, 2] < 0.0,
-        )
-
-
-def test_bad_parameters_and_sizes():
-    points, triangles = icosphere(1)
-    fixed = points[:, 2] < -0.8
-    options = {"formulation": "bem", "fixed": fixed}
-    for ratio in (-1.0, 0.51, np.nan):
-        with pytest.raises(ParameterError, match="poisson_ratio must be above -1 and at most 1/2"):
-            Parameters(shear_modulus=1.0, poisson_ratio=ratio)
-    for parameters in (Parameters(), Parameters(shear_modulus=0.0)):
-        with pytest.raises(ParameterError, match="shear_modulus"):
-            Model(points, triangles, parameters, **options)
-    with pytest.raises(SolverError, match="hold an area of the surface"):
-        Model(points, triangles, Parameters(shear_modulus=1.0), formulation="bem")
-    with pytest.raises(ParameterError, match="isotropic"):
-        Parameters(shear_modulus=1.0).anisotropic(SurfaceMesh(points, triangles), (0, 0, 1), 2.0)

@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from tests.vdm.vdm_shapes import box, icosphere, torus
-from vdm import Load, Model, ParameterError, Parameters, SolverError, SurfaceMesh
+from vdm import Load, Model, Parameters, SolverError, SurfaceMesh
 from vdm.boundary.coarsening import coarsened
 from vdm.boundary.interpolation import interpolation
-from vdm.peers.bem import BoundaryFormulation, DenseFactor
+from vdm.peers.bem import DenseFactor
 from vdm.peers.bem_sparse import SparseFormulation
 from vdm.solvers.single import SingleFactor
 from vdm.surface import rigid_basis
@@ -139,8 +139,5 @@ def test_with_all_nodes_in_the_coarse_body_it_is_the_boundary_form(nu):
 def test_what_it_cannot_do_is_refused_with_a_remedy(form):
     with pytest.raises(SolverError, match="no matrix"):
         form.stiffness()
-    with pytest.raises(ParameterError, match="whole number from 200 to 2,000, not 100"):
-        Parameters(shear_modulus=1.0, coarse_nodes=100)
-    assert issubclass(SparseFormulation, BoundaryFormulation)
     with pytest.raises(SolverError, match="not positive definite"):
         form.factor(np.ones(ELLIPSOID.n_nodes, dtype=np.bool_))
