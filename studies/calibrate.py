@@ -1,6 +1,6 @@
-"""Parameters fitted: those of surface models to the reference, Young's modulus to a measurement.
+"""Parameters of surface models, fitted to the reference.
 
-In: a plan and its run, or a study with [[measured]] tables. Out: fits, and their errors on held-out loads.
+In: a plan and its run. Out: fits, and their errors on held-out loads, of other studies too.
 
 A parameter of a surface model is fitted as a multiple of what the model's rule gives for the body at hand: so a fit
 can be carried to another mesh, tissue or body.
@@ -11,35 +11,28 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
-from solver_common.arrays import Array, Mask
+from solver_common.arrays import Array
 
 from . import models
-from .body.mesh import Mesh
 from .body.mesh_cache import mesh_from_cache
 from .body.surface_measures import Surface, deformations, relative_l2, weighted_norm
 from .measures.case import Run
-from .measures.measurement import Measurement, Quantity, hold_against
 from .measures.metrics import DEFORMATION, VECTOR, full_load_step
-from .measures.pushed import Answer
 from .measures.uncertainty import reference_bar
 from .scene.result import ModelResult
 from .scene.scene import Scene, build_scene
-from .study.config import with_mesh_size
 from .study.errors import InputError
 from .study.registry import PARAMETERS, is_surface
 from .study.schema import Study
 from .verdict.formatting import NOT_MEASURED, NOTHING, percent, quantity
 from .work.plan import Plan, PlannedCase, needs_volume
 
-FINER = 0.75  # mesh size of the second mesh over that of the study
 WIDEST = 1e5  # of a ratio of two moduli over that of their rules, and of a modulus over its rule
-FACTOR = 4.0  # how far from the study's a measured Young's modulus is looked for, either way
 MODULI = {  # parameters that can be fitted -> the one whose rule gives the scale where it has none of its own
     "bulk_modulus": "",
     "connectivity_modulus": "",
@@ -86,12 +79,11 @@ class Sample:
 
 @dataclass(frozen=True)
 class Body:
-    """A study that has been run: its loads on the study's mesh, and on a finer mesh where it has one.
+    """A study that has been run, with its finished loads.
 
     Attributes
     ----------
     asked : parameters to fit; None for those that the rules set
-    lost : study -> labels of its loads that failed
     """
 
     name: str
@@ -99,9 +91,6 @@ class Body:
     asked: tuple[str, ...] | None
     training: tuple[Sample, ...]
     held_out: tuple[Sample, ...]
-    finer_training: tuple[Sample, ...] = ()
-    finer_held_out: tuple[Sample, ...] = ()
-    lost: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 def check(plan: Plan) -> None:
@@ -120,12 +109,6 @@ def check_fit(plan: Plan) -> None:
     study = plan.cases[0].study  # which has what is swept, as all cases have
     for name in filter(is_surface, study.study.models):
         to_fit(name, study.vdm_parameters(), study.model_parameters(), _asked(study))
-
-
-def finer_study(plan: Plan) -> Study | None:
-    """The study on a finer mesh; None where its tetrahedra are used as they are, or where it sweeps mesh_size."""
-    own = any(mesh.geometry.has_own_tetrahedra for mesh in plan.meshes.values())
-    return None if own else with_mesh_size(plan.study, FINER)
 
 
 def loads_of(plan: Plan) -> dict[str, PlannedCase]:
@@ -188,8 +171,8 @@ def samples_of(plan: Plan, run: Run) -> tuple[tuple[Sample, ...], tuple[Sample, 
     return training, held_out
 
 
-def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None = None) -> Body:
-    """A study's loads. A finer mesh that leaves a side without a finished load is left out.
+def body(plan: Plan, run: Run) -> Body:
+    """A study's finished loads.
 
     Raises
     ------
@@ -197,22 +180,9 @@ def body(plan: Plan, run: Run, finer: tuple[Plan, Run] | None = None) -> Body:
         see `check` and `samples_of`.
     """
     check(plan)
-    name, study = plan.study.study.name, plan.study
-    there: tuple[tuple[Sample, ...], tuple[Sample, ...]] = (), ()
-    runs = {name: run}
-    if finer is not None:
-        runs[f"{name}, finer mesh"] = finer[1]
-        with suppress(CalibrationError):
-            there = samples_of(*finer)
-    lost = {where: [failure["label"] for failure in found.failed] for where, found in runs.items()}
-    return Body(
-        name,
-        tuple(filter(is_surface, study.study.models)),
-        _asked(study),
-        *samples_of(plan, run),
-        *there,
-        {where: labels for where, labels in lost.items() if labels},
-    )
+    study = plan.study
+    models = tuple(filter(is_surface, study.study.models))
+    return Body(study.study.name, models, _asked(study), *samples_of(plan, run))
 
 
 def _asked(study: Study) -> tuple[str, ...] | None:
@@ -371,41 +341,25 @@ class Calibration:
 
     Attributes
     ----------
-    finer : multiples of the rule that a finer mesh gives; None without one
-    on_finer : errors there of the multiples of the study's own mesh
-    transfer : study -> errors of these on its held-out loads
-    repeated : labels of held-out loads that are multiples of training loads, and so test nothing
-    lost : study -> labels of loads that failed and are in no figure here
+    transfer : study -> errors of these multiples of the rule on its held-out loads
     """
 
     fit: Fit
-    finer: Mapping[str, float] | None
-    on_finer: Errors | None
     transfer: Mapping[str, Errors]
-    repeated: Sequence[str] = ()
-    lost: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 def calibrate(body: Body, others: Sequence[Body] = ()) -> list[Calibration]:
     """Fit every surface model of a body and try the fits elsewhere."""
-    return [_calibration(body, name, others) for name in body.models]
+    found = [fit(name, body.training, body.held_out, body.asked) for name in body.models]
+    return [
+        Calibration(one, {other.name: _errors(other, one) for other in others if one.model in other.models})
+        for one in found
+    ]
 
 
-def _calibration(body: Body, name: str, others: Sequence[Body]) -> Calibration:
-    found = fit(name, body.training, body.held_out, body.asked)
-    finer, on_finer = None, None
-    if body.finer_training:
-        trial = Trial(name, body.finer_training, body.asked)
-        finer = dict(zip(trial.names, least_error(trial).tolist(), strict=True))
-        on_finer = _errors(name, body.finer_held_out, found)
-    transfer = {other.name: _errors(name, other.held_out, found) for other in others if name in other.models}
-    tried = [body, *(other for other in others if other.name in transfer)]
-    lost = {where: labels for each in tried for where, labels in each.lost.items()}
-    return Calibration(found, finer, on_finer, transfer, repeats(body.training, body.held_out), lost)
-
-
-def _errors(name: str, samples: Sequence[Sample], found: Fit) -> Errors:
-    return Trial(name, samples, tuple(found.multiples)).errors(np.array(list(found.multiples.values())))
+def _errors(there: Body, found: Fit) -> Errors:
+    trial = Trial(found.model, there.held_out, tuple(found.multiples))
+    return trial.errors(np.array(list(found.multiples.values())))
 
 
 def fit(
@@ -509,21 +463,6 @@ def least_squares_of_moduli(answer: Callable[[Array], Array], target: Array, cou
     return multiples(np.asarray(found.x))
 
 
-def repeats(training: Sequence[Sample], held_out: Sequence[Sample]) -> list[str]:
-    """Labels of held-out loads to which the reference answers a multiple of what it does to a training load.
-
-    Neither another size of a load nor another Young's modulus tells a linear model from a linear reference.
-    """
-
-    def is_multiple(u: Array, v: Array) -> bool:
-        if u.shape != v.shape or not v.any():
-            return False
-        rest = u - float(np.vdot(v, u) / np.vdot(v, v)) * v
-        return float(np.linalg.norm(rest)) <= _SAME * float(np.linalg.norm(u))
-
-    return [s.label for s in held_out if any(is_multiple(s.reference, t.reference) for t in training)]
-
-
 # --- What is printed ---
 
 
@@ -541,11 +480,8 @@ def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
                 "times its rule": _multiples(fit.multiples),
                 "training loads": in_percent(fit.training),
                 "held out, by rule": in_percent(fit.by_rule),
-                "held out, fitted": in_percent(fit.held_out)
-                + (f", {len(entry.repeated)} no test" if entry.repeated else ""),
+                "held out, fitted": in_percent(fit.held_out),
                 "reference's own": bars_in_percent(fit.held_out),
-                "fit of a finer mesh": _multiples(entry.finer) if entry.finer else NOT_MEASURED,
-                "there, this fit": in_percent(entry.on_finer) if entry.on_finer else NOT_MEASURED,
                 # other studies need not have all the models
                 **{
                     f"on {study}": in_percent(entry.transfer[study]) if study in entry.transfer else NOTHING
@@ -593,104 +529,3 @@ def as_toml(entries: Sequence[Calibration]) -> str:
         lines = [f"{key} = {value:.6g}" for key, value in fit.parameters.items()]
         blocks.append(told + "\n".join([f"[{title}]", *lines]))
     return "\n\n".join(blocks) + "\n"
-
-
-# --- Young's modulus, fitted to a measurement ---
-
-
-@dataclass(frozen=True)
-class MeasuredFit:
-    """One model's Young's modulus, from the first load that was measured.
-
-    Attributes
-    ----------
-    model : its name
-    modulus : of least squares over u_D [Pa]; NaN where the model has no answer, where the range ends, or where no
-        fitted value changes with it
-    uncertainty : standard, of the modulus, from u_D alone [Pa]
-    trained, held_out : root mean square of E over the fitted quantities and over the others of their unit
-    as_given : that over the others with the study's own modulus; over the fitted ones where there are no others
-    size : root mean square of D over the others; 0 where all are distances
-    unit : of these, m or N
-    """
-
-    model: str
-    modulus: float
-    uncertainty: float
-    trained: float
-    held_out: float
-    as_given: float
-    size: float
-    unit: str = "m"
-
-
-def training(found: Measurement) -> Mask:
-    """(Q,) the quantities to fit: those of the first table's first load; the others of their unit are held out."""
-    first = found.quantities[0]
-
-    def load_of(one: Quantity) -> tuple[object, ...]:
-        return one.table, one.step, "" if math.isnan(one.depth) else one.depth
-
-    return np.array([load_of(one) == load_of(first) for one in found.quantities])
-
-
-def fit_modulus(study: Study, mesh: Mesh, name: str) -> MeasuredFit:
-    """Fit one model of a study of one case, on the study's own mesh.
-
-    Raises
-    ------
-    InputError
-        nothing was measured.
-    """
-
-    def answer(modulus: float) -> Measurement:
-        tissue = study.tissue.model_copy(update={"youngs_modulus": modulus})
-        scene = build_scene(study.model_copy(update={"tissue": tissue}), mesh)
-        linear = models.superposes(name) and scene.indenter is None
-        result = Answer.of(models.run_model(scene, name), linear=linear)
-        found = hold_against(study, mesh, {name: result})
-        if found is None:
-            raise InputError("the study has no [[measured]] table to fit")
-        return found
-
-    return modulus_of(answer, study.tissue.youngs_modulus, name)
-
-
-def modulus_of(answer: Callable[[float], Measurement], given: float, name: str) -> MeasuredFit:
-    """The fit of a model that answers to a Young's modulus [Pa]; `given` is where the search begins."""
-    from scipy.optimize import least_squares  # slow to load
-
-    start = answer(given)
-    mine, unit = training(start), start.quantities[0].unit
-    rest = np.array([one.unit == unit for one in start.quantities]) & ~mine
-    as_given = _rms(start.error(name)[rest if rest.any() else mine])
-    no = math.nan
-    lost = MeasuredFit(name, no, no, no, no, as_given, _rms(start.values[rest]), unit)
-    weights = 1.0 / np.maximum([one.uncertainty for one in start.quantities], 1e-9)[mine]
-
-    def residual(multiple: Array) -> Array:
-        return np.asarray(answer(given * float(multiple[0])).error(name)[mine] * weights)
-
-    if not np.isfinite(start.error(name)[mine]).all():
-        return dataclasses.replace(lost, as_given=math.nan)
-    bounds = (1.0 / FACTOR, FACTOR)
-    found = least_squares(residual, [1.0], bounds=bounds, jac="3-point", diff_step=[1e-2], xtol=1e-6)
-    multiple = float(found.x[0])
-    slope = (
-        float(np.linalg.norm(np.asarray(found.jac))) * multiple
-    )  # of the values over u_D by the logarithm of the modulus
-    if slope <= _SAME or not 1.001 * bounds[0] < multiple < 0.999 * bounds[1]:
-        return lost
-    modulus = given * multiple
-    errors = answer(modulus).error(name)
-    return dataclasses.replace(
-        lost,
-        modulus=modulus,
-        uncertainty=modulus / slope,
-        trained=_rms(errors[mine]),
-        held_out=_rms(errors[rest]),
-    )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values**2).mean())) if len(values) else math.nan

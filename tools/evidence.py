@@ -367,15 +367,13 @@ def _beside(right: Sequence[bool], base: int | None) -> list[int]:
 
 
 def measured(name: str, _: Sequence[str]) -> None:
-    """The phantoms against their measurement, and what one modulus fitted to a part of it says of the rest."""
+    """The phantoms against their measurement."""
     own = EVIDENCE[name]
     for study in own["studies"]:
         models = tomllib.loads((CASES / f"{study}.toml").read_text())["study"]["models"]
         models += [model for model in own["beside"] if split(model)[0] in all_models()]
         run = ran(study, {"study": {"name": study, "models": models}}, f"{study}-peers")
         show(ROOT / own["document"], study, measured_table(run))
-        fitted = json.loads(finished("calibrate", study, "--measured", "--json"))
-        show(ROOT / own["document"], f"{study}-fit", fits(fitted))
 
 
 def measured_table(run: Run) -> str:
@@ -392,20 +390,6 @@ def measured_table(run: Run) -> str:
     left_out = EVIDENCE["measured"]["left_out"]
     rows = [[row[k].text for k in shown_here] for row in summary.rows if row[0].text not in left_out]
     return table([head[k] for k in shown_here], rows)
-
-
-def fits(found: Sequence[Mapping[str, Any]]) -> str:
-    """What `calibrate --measured --json` printed, as a table."""
-    rows = [
-        [
-            one["model"],
-            "none in range" if one["modulus"] is None else quantity(one["modulus"], "Pa"),
-            *(NOTHING if one[key] is None else quantity(one[key], "m") for key in ("trained", "held_out")),
-        ]
-        for one in found
-        if one["model"] not in EVIDENCE["measured"]["left_out"]
-    ]
-    return table(["model", "E fitted", "rms of E, fitted", "rms of E, held out"], rows)
 
 
 # --- docs/evidence/league.md ---

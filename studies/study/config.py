@@ -154,17 +154,6 @@ def case_inputs(study: Study) -> dict[str, Any]:
     return study.without(resolved(study), Enters.NOTHING)
 
 
-def with_mesh_size(study: Study, factor: float) -> Study | None:
-    """The study on meshes of `factor` times its size; None where it sweeps that, or has tetrahedra of its own."""
-    data, size = _plain(study), study.geometry.mesh_size
-    swept = "geometry.mesh_size" in {axis.key for axis in read_axes(data)[0]}
-    if size is None or swept or study.geometry.has_own_tetrahedra:
-        return None
-    finer = Study.model_validate(substituted(data, ("geometry", "mesh_size"), size * factor))
-    finer._source = study._source
-    return finer
-
-
 def start_of(study: Study, along: str) -> tuple[float, str]:
     """The load that `limits.along` names, in SI, and its unit: all loads together are once those of the study."""
     if along == ALL_LOADS:

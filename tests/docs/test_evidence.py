@@ -162,15 +162,6 @@ def test_the_table_of_a_measurement_is_that_of_the_page() -> None:
     head, *rows = cells(evidence.measured_table(run))
     assert [row[0] for row in rows][:1] == ["vdm-paper"]
     assert all(len(row) == len(head) for row in rows)
-    one = {
-        "model": "a",
-        "modulus": None,
-        "uncertainty": None,
-        "trained": 1e-3,
-        "held_out": None,
-        "as_given": 2e-3,
-    }
-    assert cells(evidence.fits([one]))[1] == ["a", "none in range", "1.00 mm", "–"]
 
 
 def test_a_fault_of_the_mutation_test_has_its_place_and_its_tests() -> None:
