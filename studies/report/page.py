@@ -28,6 +28,7 @@ from .section_charts import (
     error_against_load,
     error_against_parameters,
     force_against_indentation,
+    run_time_against_error,
 )
 from .section_measurement import against_measurement, inputs
 from .section_scene import scene
@@ -63,6 +64,7 @@ AFTER: tuple[Make, ...] = (
     against_measurement,
     force_against_indentation,
     small_strain_limits,
+    run_time_against_error,
     all_measures,
 )
 APPENDIX: tuple[Make, ...] = (case_table, failures, how_to_reproduce)

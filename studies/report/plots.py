@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 from solver_common.arrays import Array
 
 from ..verdict.digest import REFERENCE, Digest
-from ..verdict.formatting import listed, plain, short_percent
+from ..verdict.formatting import listed, plain, quantity, short_percent
 from ..verdict.palette import COLOURS
 from .blocks import Figure
 
@@ -256,12 +256,17 @@ def lines(
     return Figure(for_the_page(svg, f"{title}: {words}.", salt, for_script), title)
 
 
-def level_line(axes: Axes, height: float, name: str, style: str) -> None:
-    """A line across the chart at a height, named; none at one that is not positive or not known."""
-    if height > 0.0:
-        axes.axhline(height, linestyle=style, color=colour(REFERENCE), linewidth=1.0)
+def level_line(axes: Axes, at: float, name: str, style: str, axis: str = "y") -> None:
+    """A line across the chart at a value of one axis, named; none at one that is not positive or not known."""
+    if at > 0.0:
         look: Any = {"va": "bottom", "ha": "right", "fontsize": 7.0, "color": colour(REFERENCE)}
-        axes.text(0.995, height, name, transform=axes.get_yaxis_transform(), **look)
+        if axis == "y":
+            axes.axhline(at, linestyle=style, color=colour(REFERENCE), linewidth=1.0)
+            axes.text(0.995, at, name, transform=axes.get_yaxis_transform(), **look)
+        else:
+            axes.axvline(at, linestyle=style, color=colour(REFERENCE), linewidth=1.0)
+            look |= {"va": "top", "rotation": 90}
+            axes.text(at, 0.99, name, transform=axes.get_xaxis_transform(), **look)
 
 
 def from_origin(axes: Axes) -> None:
@@ -283,6 +288,12 @@ def percent_axis(axes: Axes, values: ArrayLike) -> None:
         axes.set_ylim(0.0, 1.08 * top if top > 0 else 1.0)
         axes.yaxis.set_major_locator(MaxNLocator(6))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{plain(value * 100)} %"))
+
+
+def time_axis(axes: Axes) -> None:
+    """Seconds on a logarithmic x axis, named with their prefix."""
+    log_axis(axes, "x")
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, "s", 1)))
 
 
 def log_axis(axes: Axes, which: str) -> None:
@@ -386,7 +397,8 @@ def axes_for_script(axes: Axes) -> str:
         formatter = axis.get_major_formatter()
         if isinstance(formatter, FixedFormatter):
             continue  # names
-        unit = "%" if formatter(1.0).endswith("%") else ""
+        shown = formatter(1.0)
+        unit = "%" if shown.endswith("%") else "s" if shown.endswith("s") else ""
         start, end = axis.get_view_interval()
         found.append(f' data-{which}="{axis.get_scale()} {start:.6g} {end:.6g} {low:.1f} {high:.1f} {unit}"')
     return "".join(found)

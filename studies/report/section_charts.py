@@ -1,4 +1,4 @@
-"""Errors against swept parameters and load, force against indentation: the charts."""
+"""Errors against swept parameters and load, force against indentation, run time against error: the charts."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from ..measures.frame import at_full_load
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..measures.pushed import Answer, Pushed
 from ..verdict.acceptance import name_of, pushes
-from ..verdict.digest import DRIFT, REFERENCE, Digest
-from ..verdict.formatting import parameter_name, quantity, scale_of, swept_value
+from ..verdict.digest import DRIFT, REFERENCE, Digest, frame_of, median_known
+from ..verdict.formatting import listed, parameter_name, quantity, scale_of, short_percent, swept_value
 from .blocks import Block, Figure, Figures, Section, note
 from .plots import (
     Curve,
@@ -30,6 +30,7 @@ from .plots import (
     name_ticks,
     percent_axis,
     place,
+    time_axis,
 )
 
 if TYPE_CHECKING:
@@ -262,3 +263,57 @@ def _force_chart(
     labels = f"{depth} [{length_unit}]", f"{force} [{load_unit}]"
     title = f"{force.capitalize()} against {depth}, {place}"
     return replace(lines(digest, curves, *labels, title, salt, finish=from_origin, told=told), title=place)
+
+
+BUDGETS = {
+    "haptic device, 1 ms": 1e-3,
+    "screen, 16.7 ms": 1.0 / 60.0,
+}  # what asks for a frame, and its time [s]
+
+
+def run_time_against_error(digest: Digest) -> Section | None:
+    """Time of a frame against the median error at full load: a mark a mesh, joined where there are several."""
+    meshes: dict[int, list[CaseResult]] = {}  # cases on one mesh share its surface
+    for case in digest.cases:
+        meshes.setdefault(id(digest.surfaces[case.hash]), []).append(case)
+    parts = sorted(meshes.values(), key=lambda part: len(part[0].points))
+    charts = [_pareto(digest, metric, parts, f"c{k}") for k, metric in enumerate(QUANTITIES)]
+    figures = [chart for chart in charts if chart is not None]
+    if not figures:
+        return None
+    blocks: list[Block] = [note("cost", len(parts)), Figures(figures, digest.legend)]
+    return Section("cost", "Run time against error", blocks)
+
+
+def _pareto(digest: Digest, metric: str, parts: Sequence[Sequence[CaseResult]], salt: str) -> Figure | None:
+    curves, look = [], {"markersize": 6.5, **({} if len(parts) > 1 else {"linestyle": "none"})}
+    for name in digest.compared:
+        points = np.array([_time_and_error(digest, name, metric, part) for part in parts])
+        known = points[np.isfinite(points).all(axis=1)]
+        if len(known):
+            curves.append(Curve(name, known[:, 0], known[:, 1], look=look))
+    if not curves:
+        return None
+
+    def finish(axes: Axes) -> None:
+        for name, seconds in BUDGETS.items():
+            level_line(axes, seconds, name, ":", "x")
+        level_line(axes, digest.allowed(metric), "accepted", "-.")
+        time_axis(axes)
+        percent_axis(axes, [*np.concatenate([curve.y for curve in curves]), digest.allowed(metric)])
+
+    def told(curve: Curve) -> str:
+        pairs = zip(np.asarray(curve.x), np.asarray(curve.y), strict=True)
+        return listed(f"{quantity(time, 's')} per frame at {short_percent(error)}" for time, error in pairs)
+
+    title = QUANTITIES[metric]
+    heading = f"Run time against {title.lower()}"
+    return lines(digest, curves, "time of a frame", title, heading, salt, finish=finish, told=told)
+
+
+def _time_and_error(
+    digest: Digest, name: str, metric: str, cases: Sequence[CaseResult]
+) -> tuple[float, float]:
+    results = [case.models[name] for case in cases if name in case.models]
+    errors = np.abs([digest.at(case, name, metric) for case in cases])
+    return frame_of(results), median_known(errors)

@@ -489,7 +489,7 @@ class Digest:
             set_up=median_known(
                 *([f.setup for f in frames] or [np.array([r.seconds_setup]) for r in results])
             ),
-            frame=median_known(*([f.contact for f in frames] or [r.seconds_per_step for r in results])),
+            frame=frame_of(results),
             everywhere=median_known(*(f.everywhere for f in frames)),
             memory=float(max((r.peak_bytes for r in answered), default=math.nan)),
             marks=self._marks(name),
@@ -513,6 +513,12 @@ def _largest(case: CaseResult, model: str | None) -> float:
     if result is None:
         return math.nan
     return float(np.linalg.norm(result.displacement[case.full_load], axis=1).max())
+
+
+def frame_of(results: Sequence[ModelResult]) -> float:
+    """Median seconds of a frame of the contact over meshes and rounds; over steps where none was measured."""
+    frames = [result.frames.contact for result in results if result.frames is not None]
+    return median_known(*(frames or [result.seconds_per_step for result in results]))
 
 
 def median_known(*parts: Array) -> float:

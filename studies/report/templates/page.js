@@ -120,7 +120,10 @@
     const [scale, ...rest] = axis.split(" "), unit = rest[4];
     const [low, high, from, to] = rest.slice(0, 4).map(Number), share = (place - from) / (to - from);
     const value = scale === "log" ? low * (high / low) ** share : low + share * (high - low);
-    return unit === "%" ? `${digits(100 * value)} %` : digits(value);
+    if (unit === "%") return `${digits(100 * value)} %`;
+    if (unit !== "s") return digits(value);
+    const [factor, name] = [[1, "s"], [1e-3, "ms"], [1e-6, "µs"]].find(([f]) => value >= f) ?? [1e-6, "µs"];
+    return `${digits(value / factor)} ${name}`;
   }
   const digits = (v) => Number(v.toPrecision(3)).toString().replace("-", "−");
 
