@@ -29,7 +29,7 @@ from .sweep import (
     substituted,
     variations,
 )
-from .toml_lines import TooLarge, key_lines
+from .toml_lines import TooLarge, key_lines, statements
 from .units import shown
 
 __all__ = ["ResolvedCase", "Study", "StudyError", "holds_nothing"]  # and what is defined here
@@ -228,15 +228,11 @@ def _parsed(path: Path) -> tuple[dict[str, Any], Source]:
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         raise wrong("is not UTF-8 text; save the file in UTF-8", line) from None
-    lines: dict[Loc, int] = {}
     try:
-        lines = key_lines(text)
+        parts = list(statements(text))
+        return tomllib.loads(text), Source(str(path), key_lines(parts), text)
     except TooLarge as error:
         raise wrong(str(error), error.line) from None
-    except tomllib.TOMLDecodeError:
-        pass  # tomllib says it better
-    try:
-        return tomllib.loads(text), Source(str(path), lines, text)
     except tomllib.TOMLDecodeError as error:
         message = re.sub(r" \(at .*\)$", "", str(error))
         place = re.search(r"\(at line (\d+),", str(error))
