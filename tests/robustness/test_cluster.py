@@ -17,19 +17,16 @@ from typing import Any
 
 import dask
 import distributed  # noqa: F401  whose configuration is read
-import numpy as np
 import pytest
 import trustme
 
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_for, write_study
 from tools.documents import ROOT
-from vdmbench.store.cases import read_case
 from vdmbench.study.errors import InputError
 from vdmbench.work.cluster import LOOPBACK, ClusterError, checked_address, cluster_pool, refusal
 
 from . import processes
 
-OF_RATIOS = 1e-12  # some metrics are differences of numbers near one, which agree to 1e-13 or so
 COMPLETE = "cases/[!.]*"  # a file that is being written begins with a dot
 NEAR_ZERO_PATIENCE = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1s"}
 SWEEP = """
@@ -113,27 +110,6 @@ def _at_work(run: Path) -> list[int]:
     return found
 
 
-def _assert_same_cases(one: Path, other: Path) -> None:
-    names = sorted(path.name for path in (one / "cases").iterdir())
-    assert len(names) == 4
-    assert names == sorted(path.name for path in (other / "cases").iterdir())
-    for name in names:
-        here, there = read_case(one / "cases" / name), read_case(other / "cases" / name)
-        assert here.models.keys() == there.models.keys()
-        for model, result in here.models.items():
-            for field in ("displacement", "reaction_force", "volume"):
-                _assert_same(getattr(result, field), getattr(there.models[model], field))
-            for metric, series in here.metrics[model].items():
-                rounding = OF_RATIOS if series.unit == "1" else 0.0
-                _assert_same(series.values, there.metrics[model][metric].values, rounding)
-
-
-def _assert_same(values: Any, others: Any, rounding: float = 0.0) -> None:
-    """To the last digits: those differ where sums are added in another order, or another load was solved first."""
-    most = np.abs(np.nan_to_num(others)).max()
-    np.testing.assert_allclose(values, others, rtol=1e-13, atol=1e-13 * most + rounding)
-
-
 @pytest.fixture(scope="module")
 def local_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same study run without a cluster, with a cache of its own."""
@@ -162,7 +138,7 @@ def test_a_killed_worker_costs_a_retry_and_ctrl_c_keeps_what_is_done(
     said = processes.output_of(again)
     assert again.returncode == 0, said
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    _assert_same_cases(run, local_run)
+    processes.assert_same_results(run, local_run, 1e-13, 1e-13)
 
 
 @pytest.mark.slow
@@ -185,7 +161,7 @@ def test_tls_takes_those_with_a_certificate_only(tmp_path: Path, local_run: Path
             "run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **trusted
         )
     assert result.returncode == 0, result.stderr
-    _assert_same_cases(tmp_path / "run", local_run)
+    processes.assert_same_results(tmp_path / "run", local_run, 1e-13, 1e-13)
 
 
 def _connect(address: str, directory: Path) -> None:

@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import time
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,43 +60,34 @@ def _kill_worker(process: subprocess.Popen[str], delay: float) -> bool:
     return True
 
 
-def _survive(kills: int, undisturbed: tuple[Path, float], directory: Path) -> Counter[str]:
-    """Kill until it was done so often; what happened, counted."""
+@pytest.mark.parametrize("kills", [2, pytest.param(200, marks=pytest.mark.slow)])
+def test_kills_at_random_moments(undisturbed: tuple[Path, float], tmp_path: Path, kills: int) -> None:
+    """Runner and worker in turns; what is done is done again where a kill came too late."""
     peace, seconds = undisturbed
     chance = random.Random(SEED)
-    shutil.copy(peace / "small.toml", directory)
-    seen: Counter[str] = Counter()
-    while seen["runner"] + seen["worker"] < kills:
-        before = check_what_is_there(directory)
-        kind = min(("runner", "worker"), key=lambda each: seen[each])  # in turns
-        with processes.start("run", "small.toml", "--jobs", "2", cwd=directory) as process:
-            kill = {"runner": _kill_runner, "worker": _kill_worker}[kind]
+    shutil.copy(peace / "small.toml", tmp_path)
+    done = 0
+    while done < kills:
+        before = check_what_is_there(tmp_path)
+        kill = (_kill_runner, _kill_worker)[done % 2]
+        with processes.start("run", "small.toml", "--jobs", "2", cwd=tmp_path) as process:
             killed = kill(process, chance.uniform(0, seconds))
-        seen[kind] += killed
-        after = check_what_is_there(directory)
+        done += killed
+        after = check_what_is_there(tmp_path)
         assert before.items() <= after.items(), "what was complete is there as it was"
-        failed = list((directory / RUN / "failed").glob("*.json"))
-        assert kind != "worker" or len(failed) <= killed, "a worker that is killed costs its case only"
-        seen["failed"] += len(failed) if kind == "worker" else 0
-        seen["half-written"] += len(half_written(directory))
-        if len(after) == 6 and process.returncode == 0:
-            assert half_written(directory) == [], "what killed runs left is cleared away"
-            assert_same_results(directory, peace)
-            seen["complete"] += 1
+        failed = list((tmp_path / RUN / "failed").glob("*.json"))
+        assert kill is not _kill_worker or len(failed) <= killed, (
+            "a worker that is killed costs its case only"
+        )
         if len(after) == 6:  # begin again, with more or less of the work done
-            shutil.rmtree(directory / RUN)
+            shutil.rmtree(tmp_path / RUN)
             if chance.random() < 0.5:
-                shutil.rmtree(directory / CACHE)
-    process = processes.start("run", "small.toml", "--jobs", "2", cwd=directory)
+                shutil.rmtree(tmp_path / CACHE)
+    process = processes.start("run", "small.toml", "--jobs", "2", cwd=tmp_path)
     output = processes.output_of(process)
     assert process.returncode == 0, output
-    assert half_written(directory) == []
-    assert_same_results(directory, peace)
-    return seen
-
-
-def test_kills_at_random_moments(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
-    _survive(2, undisturbed, tmp_path)
+    assert half_written(tmp_path) == [], "what killed runs left is cleared away"
+    assert_same_results(tmp_path / RUN, peace / RUN)
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 130), (signal.SIGKILL, -signal.SIGKILL)])
@@ -109,18 +99,10 @@ def test_nothing_outlives_its_runner(tmp_path: Path, number: signal.Signals, cod
         family = processes.children(process.pid)
         family += [worker for server in family for worker in processes.children(server)]
         assert len(family) >= 2, "a server of workers and a worker"
-        began = time.monotonic()
         process.send_signal(number)
         processes.output_of(process, 60)
         processes.wait_until_gone(family, 2)
-        print(f"{time.monotonic() - began:.2f} s")
     finally:
         process.kill()  # a failed assertion waits for no endless run
         process.communicate()
     assert process.returncode == code
-
-
-@pytest.mark.slow
-def test_two_hundred_kills(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
-    seen = _survive(200, undisturbed, tmp_path)
-    print(dict(seen))

@@ -29,7 +29,7 @@ def test_shards_of_one_directory(undisturbed: tuple[Path, float], tmp_path: Path
     shutil.copy(undisturbed[0] / "small.toml", tmp_path)
     for code, output in _together(["--shard", "1/2"], ["--shard", "2/2"], cwd=tmp_path):
         assert code == 0, output
-    assert_same_results(tmp_path, undisturbed[0])
+    assert_same_results(tmp_path / RUN, undisturbed[0] / RUN)
     assert half_written(tmp_path) == []
     # the last to finish has seen all
     assert pd.read_csv(tmp_path / RUN / METRICS_FILE)["case"].nunique() == 6
@@ -41,7 +41,7 @@ def test_two_directories_of_one_cache(undisturbed: tuple[Path, float], tmp_path:
     for code, output in _together(["--out", "a"], ["--out", "b"], cwd=tmp_path):
         assert code == 0, output
     for name in ("a", "b"):
-        assert_same_results(tmp_path, undisturbed[0], Path(name))
+        assert_same_results(tmp_path / name, undisturbed[0] / RUN)
     check_what_is_there(tmp_path)
     assert half_written(tmp_path) == []
     ours, theirs = (
