@@ -108,7 +108,7 @@ def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subproces
         mock.patch("vdmbench.work.run._time_frames"),
         mock.patch("vdmbench.report.plots.svg_of", return_value="<svg></svg>"),
         mock.patch("vdmbench.report.section_scene.scene_svg", return_value="<svg></svg>"),
-        mock.patch("vdmbench.report.picture.labelled", return_value=b""),
+        mock.patch("vdmbench.report.section_view.labelled", return_value=b""),
     ):
         try:
             main(words)
