@@ -24,12 +24,7 @@ from ..verdict.words import BESIDE, told
 from . import headline, picture
 from .blocks import Section, Viewer
 from .plots import MARKER_PATHS, shape
-from .section_charts import (
-    error_against_load,
-    error_against_parameters,
-    force_against_indentation,
-    run_time_against_error,
-)
+from .section_charts import errors, force_against_indentation, run_time_against_error
 from .section_measurement import against_measurement, inputs
 from .section_scene import scene
 from .section_tables import (
@@ -54,11 +49,7 @@ Make = Callable[[Digest], Section | None]
 
 # the order of the page; a section that has nothing to say returns None. The viewer comes after BEFORE. What other
 # files `section_NAME.py` have in their SECTIONS comes before the APPENDIX
-BEFORE: tuple[Make, ...] = (
-    headline.headline,
-    error_against_parameters,
-    error_against_load,
-)
+BEFORE: tuple[Make, ...] = (headline.headline, errors)
 AFTER: tuple[Make, ...] = (
     inputs,
     against_measurement,

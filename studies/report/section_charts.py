@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from ..measures.frame import at_full_load
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..measures.pushed import Answer, Pushed
 from ..verdict.acceptance import name_of, pushes
-from ..verdict.digest import DRIFT, REFERENCE, Digest, frame_of, median_known
+from ..verdict.digest import REFERENCE, Digest, frame_of, median_known
 from ..verdict.formatting import listed, parameter_name, quantity, scale_of, short_percent, swept_value
 from .blocks import Block, Figure, Figures, Section, note
 from .plots import (
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 MESH_SIZE = "geometry.mesh_size"
 QUANTITIES = {VECTOR: "Displacement error", DEFORMATION: "Error in change of shape"}
 _FLAT = 5e-4  # of an error: the page prints three digits. A turn that is taken out leaves 2e-6 of quickstart
-_DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 _MOST_JOINED = 12  # values of a parameter that a line through medians joins
 _MOST_POINTS = 240  # of a curve that is none; beyond, every k-th value is drawn
 _ASIDE = 0.05  # between two models at a name, where neighbours are 1 apart
@@ -58,25 +57,33 @@ class _Axis:
     joined: bool = True  # whether a line between values means something
 
 
-def error_against_parameters(digest: Digest) -> Section | None:
-    """Two charts for each swept parameter."""
-    if not digest.compared or not digest.swept_keys:
-        return None
-    rows = _rows(digest, at_full_load(digest.table))
+def errors(digest: Digest) -> Section | None:
+    """Two charts for each swept parameter, and for the load where there are steps of it."""
     blocks: list[Block] = []
     flat, orders, strides = [], list[str](), {}
-    for k, key in enumerate(digest.swept_keys):
-        axis = _axis(digest, key)
-        if _is_flat(rows, [other for other in digest.swept_keys if other != key]):
+    for k, (axis, rows, others) in enumerate(_varied(digest) if digest.compared else ()):
+        if _is_flat(rows, others):
             flat.append(axis.name)
         elif figures := _charts(digest, rows, axis, f"p{k}"):
             blocks.append(Figures(figures, digest.legend))
-            orders = orders or (_orders(digest, rows) if key == MESH_SIZE else [])
+            orders = orders or (_orders(digest, rows) if axis.key == MESH_SIZE else [])
             if (step := _stride(axis)) > 1:
                 strides[axis.name] = step
-    small_print = note("parameters", flat, blocks and len(digest.swept_keys) > 1, orders, strides)
+    small_print = note("parameters", flat, blocks and len(digest.cases) > 1, orders, strides)
     blocks = [*([small_print] if small_print.text else []), *blocks]
-    return Section("parameters", "Error against each swept parameter", blocks) if blocks else None
+    return Section("parameters", "Error against parameters and load", blocks) if blocks else None
+
+
+def _varied(digest: Digest) -> Iterator[tuple[_Axis, DataFrame, list[str]]]:
+    """What varies, the errors of the models that are compared, and what else they may depend on."""
+    table, keys = digest.table, digest.swept_keys
+    rows = table[table["metric"].isin(list(QUANTITIES)) & table["model"].isin(digest.compared)]
+    for key in keys:
+        yield _axis(digest, key), at_full_load(rows), [other for other in keys if other != key]
+    loaded = rows[rows["load_factor"] != 0.0]
+    at: dict[float | str, float] = {x: x for x in loaded["load_factor"].unique()}
+    if len(at) > 1:
+        yield _Axis("load_factor", "load", "load factor", "linear", at), loaded, ["case"]
 
 
 def _orders(digest: Digest, rows: DataFrame) -> list[str]:
@@ -88,30 +95,6 @@ def _orders(digest: Digest, rows: DataFrame) -> list[str]:
         if len(at) > 1:
             found.append(f"{model} {np.polyfit(np.log(at.index), np.log(at), 1)[0]:.2f}")
     return found
-
-
-def error_against_load(digest: Digest) -> Section | None:
-    """Both errors step by step, and the volume drift of every model."""
-    if all(len(case.load_factors) == 1 for case in digest.cases):
-        return None
-    loaded = digest.table[digest.table["load_factor"] != 0.0]
-    axis = _Axis(
-        "load_factor", "load", "load factor", "linear", {x: x for x in loaded["load_factor"].unique()}
-    )
-    rows = _rows(digest, loaded)
-    flat = not rows.empty and _is_flat(rows, ["case"])
-    figures = [] if flat else _charts(digest, rows, axis, "l")
-    drift = loaded[loaded["metric"] == DRIFT]
-    drift = drift.assign(value=drift["value"].abs().clip(lower=_DRIFT_FLOOR), bar=math.nan)
-    figures += _charts(digest, drift, axis, "v", {DRIFT: "Volume drift"})
-    blocks: list[Block] = [note("load", flat, figures, len(digest.cases))]
-    blocks += [Figures(figures, digest.legend)] if figures else []
-    return Section("load", "Error against load", blocks) if flat or figures else None
-
-
-def _rows(digest: Digest, table: DataFrame) -> DataFrame:
-    """The errors of the models that are compared."""
-    return table[table["metric"].isin(list(QUANTITIES)) & table["model"].isin(digest.compared)]
 
 
 def _is_flat(rows: DataFrame, others: Sequence[str]) -> bool:
@@ -148,15 +131,13 @@ def _stride(axis: _Axis) -> int:
     return 1 if axis.joined or axis.kind == "names" else math.ceil(len(axis.at) / _MOST_POINTS)
 
 
-def _charts(
-    digest: Digest, rows: DataFrame, axis: _Axis, salt: str, titles: Mapping[str, str] = QUANTITIES
-) -> list[Figure]:
-    """A chart a metric, all on one scale; none where there is one place on the axis alone."""
+def _charts(digest: Digest, rows: DataFrame, axis: _Axis, salt: str) -> list[Figure]:
+    """A chart of each error, both on one scale; none where there is one place on the axis alone."""
     rows = rows[np.isfinite(rows["value"])]
     rows = rows.assign(x=rows[axis.key].map(axis.at), number=rows["case"].map(digest.place))
-    heights = [*rows["value"], *rows["bar"], *map(digest.allowed, titles)]
+    heights = [*rows["value"], *rows["bar"], *map(digest.allowed, QUANTITIES)]
     found = []
-    for k, (metric, title) in enumerate(titles.items()):
+    for k, (metric, title) in enumerate(QUANTITIES.items()):
         own = rows[rows["metric"] == metric]
         if own["x"].nunique() > 1:
             found.append(_chart(digest, own, axis, metric, title, heights, f"{salt}{k}"))

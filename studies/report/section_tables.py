@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ..measures.case import CaseResult, Limit, ModelLimits
-from ..measures.frame import reference_bar, where_reached
+from ..measures.frame import where_reached
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
-from ..measures.metrics import DEFORMATION, VECTOR
+from ..measures.metrics import VECTOR
 from ..study.registry import Family
 from ..verdict.digest import DRIFT, Digest, failed_steps
 from ..verdict.formatting import (
@@ -133,7 +133,6 @@ def _measure_name(metric: str) -> str:
 
 _OPEN_ROWS = 12
 _MOST_CELLS = 9000  # of the page; the rest is in metrics.csv
-_ERRORS = ((VECTOR, "displacement"), (DEFORMATION, "deformation"))
 
 
 def case_table(digest: Digest) -> Section | None:
@@ -150,15 +149,8 @@ def case_table(digest: Digest) -> Section | None:
         ),
         *(_swept(digest, key) for key in digest.swept_keys),
         Field("Nodes", lambda case: Cell(str(len(case.points)), value=float(len(case.points))), "#"),
-        *(
-            Field(model, _error(digest, model, metric), "1", what)
-            for model in digest.compared
-            for metric, what in _ERRORS
-        ),
+        *(field for one in verdicts(digest).asked for field in _family(digest, one)),
     ]
-    fields += [_word(one) for one in verdicts(digest).asked if one.model]
-    if digest.compared:
-        fields += [Field("Reference's own", _own_error(metric), "1", what) for metric, what in _ERRORS]
     sizes = digest.full_loads(digest.focus or "", VECTOR)
     order = sorted(range(len(sizes)), key=lambda k: -abs(sizes[k]) if math.isfinite(sizes[k]) else -math.inf)
     ranked = [digest.cases[k] for k in order]
@@ -183,19 +175,12 @@ def _swept(digest: Digest, key: str) -> Field:
     return Field(parameter_name(key), value, "" if texts else "#" if unit == "1" else unit)
 
 
-def _word(one: Verdict) -> Field:
-    """The column of a family's words."""
-    return Field(
-        TITLES[Family(one.family)], lambda case: one.states[case.hash], detail=f"{one.model}, within limits?"
-    )
-
-
-def _own_error(metric: str) -> Callable[[CaseResult], Cell]:
-    def of(case: CaseResult) -> Cell:
-        bar = reference_bar(case, metric)
-        return Cell(f"± {percent(bar)}" if math.isfinite(bar) else "not measured", value=bar, tone="muted")
-
-    return of
+def _family(digest: Digest, one: Verdict) -> list[Field]:
+    """The columns of a family: the error and the word of the model that decides; of none the errors of all."""
+    models = (one.model,) if one.model else one.models
+    errors = [Field(model, _error(digest, model, VECTOR), "1", "displacement") for model in models]
+    word = Field(TITLES[Family(one.family)], lambda case: one.states[case.hash], detail="within limits?")
+    return [*errors, *([word] if one.model else [])]
 
 
 def _error(digest: Digest, model: str, metric: str) -> Callable[[CaseResult], Cell | None]:

@@ -17,7 +17,7 @@ from solver_common.arrays import Array, Index
 from ..body.surface_measures import Surface
 from ..machine import processor_name
 from ..measures.case import CaseResult, Run
-from ..measures.frame import frame
+from ..measures.frame import frame, reference_bar
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..scene.result import ModelResult
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED, motion_share
@@ -182,15 +182,7 @@ class Digest:
 
     def bars(self, metric: str) -> Array:
         """(C,) the reference's own part in a metric of every case; NaN where there is none."""
-        key = f"gci:{metric}"
-        return self._own_errors.get(key, np.full(len(self.cases), math.nan))
-
-    @cached_property
-    def _own_errors(self) -> dict[str, Array]:
-        keys = {key for case in self.cases for key in case.reference_error}
-        return {
-            key: np.array([case.reference_error.get(key, math.nan) for case in self.cases]) for key in keys
-        }
+        return np.array([reference_bar(case, metric) for case in self.cases], dtype=float)
 
     def spread(self, model: str, metric: str) -> Spread | None:
         """A metric of a model at full load over all cases; None where none has it."""

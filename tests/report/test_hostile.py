@@ -187,4 +187,4 @@ def test_swept_values_at_the_edge(swept: list[float]) -> None:
         make_case({"m": 0.1 * (k + 1)}, label=f"case {k}", swept={"k": v, "j": float(k)}, subdivisions=0)
         for k, v in enumerate(swept)
     ]
-    assert "Error against each swept parameter" in page_html(make_run(cases), stills=False)
+    assert "Error against parameters and load" in page_html(make_run(cases), stills=False)

@@ -20,7 +20,7 @@ from tests.report.runs import REFERENCE, cheap_run, make_case, make_run, sweep_r
 from vdmbench.report import page as page_module
 from vdmbench.report.blocks import Figures
 from vdmbench.report.page import MOST_BYTES, page_html, write_report
-from vdmbench.report.section_charts import error_against_parameters
+from vdmbench.report.section_charts import errors
 from vdmbench.report.section_view import payload
 from vdmbench.verdict.digest import Digest
 
@@ -80,7 +80,7 @@ def test_the_page_reads_as_it_was_looked_at(html: str) -> None:
 
 def test_every_section_is_linked(html: str) -> None:
     names = re.findall(r'<section id="(\w+)"', html)
-    assert len(names) > 8
+    assert len(names) >= 8
     assert list(re.findall(r'<a href="#(\w+)"', html)) == names
 
 
@@ -94,7 +94,7 @@ def test_without_a_reference_no_error_is_claimed() -> None:
     ]
     html = page_html(make_run(cases), stills=False)
     names = re.findall(r'<section id="(\w+)"', html)
-    assert names == ["headline", "load", "surface", "cases", "reproduce"]
+    assert names == ["headline", "surface", "cases", "reproduce"]
     assert "error" not in words(section(html, "headline")).lower()
 
 
@@ -153,7 +153,7 @@ def test_a_parameter_that_no_error_depends_on_has_no_chart(apart: float, drawn: 
     """As the force between linear models: what the turn that is taken out leaves of it is no dependence."""
     key = "constraints.finger.force"
     cases = [make_case({"vdm-paper": 0.3 + apart * k}, swept={key: 1.0 + k}, label=f"{k}") for k in range(3)]
-    found = error_against_parameters(Digest(make_run(cases)))
+    found = errors(Digest(make_run(cases)))
     assert found is not None
     assert any(isinstance(block, Figures) for block in found.blocks) == drawn
 
@@ -227,7 +227,7 @@ def test_a_surface_too_large_for_the_page_is_left_to_other_tools(monkeypatch: py
 
 def test_everything_drawn_is_told_in_words_and_every_table_can_be_taken_away(html: str) -> None:
     drawn = re.findall(r"<svg [^>]*>", re.sub(r'<svg [^>]*aria-hidden="true">', "", html))
-    assert len(drawn) >= 7
+    assert len(drawn) >= 6
     for tag in drawn:
         told = re.search(r'role="img" aria-label="([^"]*)"', tag)
         assert told is not None, tag
@@ -237,4 +237,4 @@ def test_everything_drawn_is_told_in_words_and_every_table_can_be_taken_away(htm
     tables = len(re.findall(r"<table(?! class=\"families\")", html))
     assert tables >= 4
     in_the_head = 2
-    assert html.count('data-action="copy"') == html.count('data-action="csv"') == tables - in_the_head
+    assert html.count('data-action="csv"') == tables - in_the_head

@@ -7,7 +7,7 @@ import re
 from tests.report.runs import make_case, make_run
 from vdmbench.report.blocks import Figures
 from vdmbench.report.plots import Curve, lines, percent_axis
-from vdmbench.report.section_charts import error_against_parameters
+from vdmbench.report.section_charts import errors
 from vdmbench.verdict.digest import Digest
 
 
@@ -29,7 +29,7 @@ def test_a_line_joins_the_medians_of_cases_that_share_a_value() -> None:
         for nu in (1.0, 2.0)
         for k, error in enumerate((3, 5, 12))
     ]
-    section = error_against_parameters(Digest(make_run(cases)))
+    section = errors(Digest(make_run(cases)))
     assert section is not None
     figures = [figure for block in section.blocks if isinstance(block, Figures) for figure in block.figures]
     assert [figure.title[-2:] for figure in figures] == ["nu", "nu", " k", " k"]
@@ -42,6 +42,6 @@ def test_where_the_mesh_size_is_swept_the_order_of_each_error_is_told() -> None:
         make_case({"m": h**1.5, "n": 0.3}, label=f"{h}", swept={"geometry.mesh_size": h}, subdivisions=0)
         for h in (0.01, 0.02, 0.04)
     ]
-    section = error_against_parameters(Digest(make_run(cases)))
+    section = errors(Digest(make_run(cases)))
     assert section is not None
     assert "in the mesh size: m 1.50 and n 0.00" in section.blocks[0].text

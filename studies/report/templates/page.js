@@ -1,5 +1,5 @@
 "use strict";
-// Tables: copy, download as CSV, sort, unfold. The page is complete without this script.
+// Tables: download as CSV, sort, unfold. The page is complete without this script.
 (() => {
   document.documentElement.classList.add("scripted");
 
@@ -21,29 +21,15 @@
     const unit = cell.dataset.unit ? " [" + cell.dataset.unit + "]" : "";
     return safe(words(cell).filter(Boolean).join(", ") + unit);
   };
-  const separated = (table, separator, quote) =>
-    [...table.rows]
-      .map((row, k) => [...row.cells].map((cell) => quote(k ? entry(cell) : title(cell))).join(separator))
-      .join("\n") + "\n";
+  const csv = (table) =>
+    [...table.rows].map((row, k) => [...row.cells].map((cell) => quoted(k ? entry(cell) : title(cell))).join(",")).join("\n") + "\n";
 
   const download = (table) => {
     const link = document.createElement("a");
     link.download = table.dataset.name + ".csv";
-    link.href = "data:text/csv;charset=utf-8," + encodeURIComponent(separated(table, ",", quoted));
+    link.href = "data:text/csv;charset=utf-8," + encodeURIComponent(csv(table));
     link.click();
     return link.href;
-  };
-
-  const copy = async (table, button) => {
-    const text = separated(table, "\t", (t) => t.replace(/[\t\n\r]+/g, " "));
-    const label = button.textContent;
-    try {
-      await navigator.clipboard.writeText(text);
-      button.textContent = "Copied";
-    } catch {
-      button.textContent = "Copying is blocked here";
-    }
-    setTimeout(() => { button.textContent = label; }, 1600);
   };
 
   const sort = (table, index, head) => {
@@ -74,7 +60,6 @@
       button.hidden = false;
       button.addEventListener("click", () => {
         if (button.dataset.action === "csv") download(table);
-        else if (button.dataset.action === "copy") copy(table, button);
         else { box.classList.add("open"); button.remove(); }
       });
     }
