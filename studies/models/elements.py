@@ -71,12 +71,6 @@ def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # 
     return SetUp(lambda loads: problem.solve(fem_loads(loads, whole.mesh), _asked(scene)), problem)
 
 
-def _coarse(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
-    from .coarse import CoarseProblem
-
-    return SetUp(CoarseProblem(scene, n_loads).solve)
-
-
 def _finite_strain(
     scene: Scene,
     solver: str,
@@ -314,13 +308,6 @@ for _model in (
         prepare=_condensed,
         memory=lambda size, _: 9.4e4 * size.tetrahedra,
         contact_in_setup=True,
-    ),
-    _elements(
-        name="fem-coarse",
-        version="4",
-        prepare=_coarse,
-        memory=lambda size, solver: _quadratic(size.refined(-1), solver),
-        takes=_takes(_ONE, DEAD),
     ),
     _elements(
         name="fem",

@@ -122,14 +122,6 @@ class Scene:
         """(N,) nodes whose displacement is known."""
         return self.fixed | self.constrained
 
-    @property
-    def supported(self) -> Mask:
-        """(N,) nodes that are held, or have springs."""
-        found = self.held
-        for part in self.springs:
-            found[self.mesh.triangles[part.facets].ravel()] = True
-        return found
-
     @cached_property
     def _thrust(self) -> Array:
         """(F, 3) integral of pressure times shape function over each facet, per corner [N]."""

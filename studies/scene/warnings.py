@@ -28,6 +28,8 @@ def scene_warnings(
     points: Array,
     triangles: Index,
     largest_factor: float = 1.0,
+    *,
+    small_strain: bool = False,
 ) -> Iterator[Finding]:
     """Places in the study file, each with a sentence.
 
@@ -36,6 +38,7 @@ def scene_warnings(
     masks : (N,) nodes of each region
     points, triangles : the surface, (N, 3) [m] and (F, 3)
     largest_factor : largest load factor
+    small_strain : whether the load is to be one that a reference of small strain judges, see `MOST_MOVED`
     """
     vectors = facet_area_vectors(points, triangles)
     held = [masks[part.region] for part in constraints if part.holds]
@@ -83,11 +86,17 @@ def scene_warnings(
             )
         force = largest_factor * abs(part.force or (part.pressure or 0.0) * size)
         path = indentation(force, total, tissue.youngs_modulus, tissue.poisson_ratio)
+        told = (
+            f"presses with {force:.3g} N, which by linear theory moves the surface by {path:.2g} m, more than"
+        )
         if path > extent:
-            told = (
-                f"presses with {force:.3g} N, which by linear theory moves the surface by {path:.2g} m, more "
+            yield loc[:2], f"{told} the body's smallest extent ({extent:.2g} m); a mixed-up unit?"
+        elif small_strain and path > MOST_MOVED * extent:
+            yield (
+                loc[:2],
+                f"{told} {MOST_MOVED:.0%} of the body's smallest extent, beyond what the reference judges, which "
+                'holds for small strain: lower the load, or take study.reference = "fem"',
             )
-            yield loc[:2], f"{told}than the body's smallest extent ({extent:.2g} m); a mixed-up unit?"
 
 
 def motion_share(displacement: Array, held: Mask, extent: float) -> float:

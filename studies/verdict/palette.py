@@ -19,7 +19,6 @@ _KNOWN = (
     "fem-condensed",
     "fem-p2",
     "fem-p1",
-    "fem-coarse",
     "fem",
 )
 _PLACES = COLOURS**2

@@ -115,7 +115,7 @@ def test_columns_of_elements_are_shortened(name: str) -> None:
     assert_allclose(second, first, rtol=1e-6, atol=0)
 
 
-@pytest.mark.parametrize("name", ["fem", "fem-coarse", "vdm-vector:nonlinear", "vdm-paper:bicg"])
+@pytest.mark.parametrize("name", ["fem", "vdm-vector:nonlinear", "vdm-paper:bicg"])
 def test_other_models_have_no_columns(scene: Scene, name: str) -> None:
     assert problem_of(scene, name) is None
 

@@ -201,7 +201,7 @@ def test_a_history_equals_its_steps_one_by_one(gravity: dict[str, object] | None
                 assert_allclose(a, b, rtol=1e-9, atol=1e-11 * np.abs(b).max(), err_msg=field)
 
 
-@pytest.mark.parametrize("name", ["vdm-consistent", "fem-coarse"])
+@pytest.mark.parametrize("name", ["vdm-consistent", "fem-linear"])
 def test_the_condition_is_estimated_where_it_is_asked_for(name: str, scene: Scene) -> None:
     plain, asked = (
         models.run_model(dataclasses.replace(scene, condition=condition), name) for condition in (False, True)

@@ -152,7 +152,8 @@ def test_models_that_know_no_cavities_refuse_them_by_name(ball: Mesh, name: str)
 
 
 def test_a_fluid_is_refused_where_only_empty_ones_are_known() -> None:
-    assert not lacks("fem-coarse", {"cavities"})
+    assert not lacks("fem-condensed", {"cavities"})
     assert (
-        "fem-coarse knows no fluid in cavities" in lacks("fem-coarse", {"cavities", "fluid in cavities"})[0]
+        "fem-condensed knows no fluid in cavities"
+        in lacks("fem-condensed", {"cavities", "fluid in cavities"})[0]
     )
