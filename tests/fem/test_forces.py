@@ -157,19 +157,3 @@ def test_combinations_and_finite_strain_take_given_forces() -> None:
     assert_allclose(finite.reaction_force[0].sum(axis=0), [-1e-6, -2e-6, 0.0], rtol=0, atol=1e-14)
     with pytest.raises(SolverError, match="load step 0 has given forces; use LinearProblem"):
         CondensedProblem(problem, b.surface[:, 2] == 1.0).solve(loads[1:2])
-    with pytest.raises(SolverError, match=r"forces of load step 0 has shape \(3,\)"):
-        problem.solve([_with(b, np.zeros(3))])
-
-
-def test_forces_that_make_no_sense_are_refused() -> None:
-    b = cube(1)
-    mesh = TetMesh(*b.arrays)
-    none = np.zeros(len(b.triangles), dtype=bool)
-    for call, words in (
-        (lambda: traction_forces(mesh, np.zeros((3, 2))), "traction has shape"),
-        (lambda: region_forces(mesh, none, FORCE), "a region of given forces has no facet"),
-        (lambda: line_forces(mesh, np.zeros((0, 2)), FORCE), "give .k, 2. surface nodes"),
-        (lambda: line_forces(mesh, [[0, 99]], FORCE), "no triangle joins the surface nodes 0 and 99"),
-    ):
-        with pytest.raises(SolverError, match=words):
-            call()

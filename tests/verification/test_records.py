@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.verification.records import RESULTS, Record, Verified, as_csv, document, from_csv
+from tests.verification.records import RESULTS, Record, as_csv, document, from_csv
 
 pytest_plugins = ["pytester"]
 # `make verify` selects by this marker, and looks that every file that names the fixture ran, this one too
@@ -21,7 +21,7 @@ def test_right(verified: Verified) -> None:
 
 @pytest.mark.anchor("a ball", "a book")
 def test_wrong(verified: Verified) -> None:
-    verified.at_most("mass", 0.3, 0.2)
+    verified.at_most("mass", [0.1, -0.3], 0.2)
 
 @pytest.mark.anchor("a ball", "a book")
 def test_silent(verified: Verified) -> None:
@@ -47,6 +47,9 @@ def test_digits_that_depend_on_the_machine_are_not_stored() -> None:
     assert record(0.00123456, 0.0, 0.1).row()["value"] == "0.00123"
     assert record(2.9134, 3.0, 0.15).row()["value"] == "2.91"
     assert record(0.857143219, 0.857143, 5e-7).row()["value"] == "0.857143"
+    text = document([record(1.0, 1.0, 0.1).row(), record(2.0, 1.0, 0.1).row()])
+    assert "1 of 2 checks pass" in text
+    assert "| a ball | **1 of 2 pass** | a book |" in text
 
 
 def test_tests_assert_on_their_records(pytester: pytest.Pytester) -> None:
@@ -73,17 +76,3 @@ def test_the_stored_table_is_whole_and_passes() -> None:
     names = [(row["name"], row["quantity"], row["short"]) for row in rows]
     assert len(names) == len(set(names)) > 400, "every check has a name of its own"
     assert all(row["source"] for row in rows)
-
-
-def test_a_failing_check_stands_out() -> None:
-    text = document([record(1.0, 1.0, 0.1).row(), record(2.0, 1.0, 0.1).row()])
-    assert "1 of 2 checks pass" in text
-    assert "| a ball | **1 of 2 pass** | a book |" in text
-
-
-def test_an_array_is_as_wrong_as_its_worst_entry() -> None:
-    records: list[Record] = []
-    verified = Verified("a ball", "a book", short=True, records=records)
-    with pytest.raises(AssertionError, match=r"a ball, u: 0\.3 is not 0 ± 0\.2"):
-        verified.at_most("u", [0.1, -0.3], 0.2)
-    assert [r.value for r in records] == [0.3]
