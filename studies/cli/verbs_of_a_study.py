@@ -7,7 +7,7 @@ import os
 import re
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..study.errors import InputError, plural
 from ..study.files import shipped_studies
@@ -82,17 +82,7 @@ def _named(text: str, name: str, source: Path) -> str:
 
 def _files(text: str, directory: Path) -> dict[str, Path]:
     """The files beside a study that it names. Raises InputError for one that is elsewhere or missing."""
-    import tomllib
-
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"the study to copy is not sound: {error}") from None
-    tables: list[Any] = [data.get("geometry")]
-    tables += data["measured"] if isinstance(data.get("measured"), list) else []
-    names = [
-        table["path"] for table in tables if isinstance(table, dict) and isinstance(table.get("path"), str)
-    ]
+    names = re.findall(r'^\s*path\s*=\s*"([^"\n]*)"', text, re.MULTILINE)
     for name in names:
         if Path(name).is_absolute() or ".." in Path(name).parts or not (directory / name).is_file():
             raise InputError(f"it names {name!r}, which is no file beside it; copy the study by hand")

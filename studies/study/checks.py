@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_twice, unknown
 from .fields import unit_of
-from .kinds import Table, given
+from .kinds import Table
 from .measured import Measured, same_load
 from .registry import BROKEN, DISPLACEMENT_ELEMENTS, find, is_surface, model_names, reads, split
 from .schema import (
@@ -24,13 +24,12 @@ from .schema import (
     Study,
 )
 from .shapes import (
-    LARGEST_EXTENT,
-    SMALLEST_EXTENT,
     SURFACE_SUFFIXES,
     VOLUME_SUFFIXES,
     FileBody,
     Geometry,
     Shape,
+    check_extent,
     check_mesh_size,
 )
 from .units import shown
@@ -108,13 +107,13 @@ def _check_read(study: Study) -> Iterator[Finding]:
     tables += [(("models", name), table, [name]) for name, table in study.models.items() if name in names]
     for loc, table, readers in tables:
         known = set().union(*map(reads, readers))
-        for key in sorted(given(table) - known):
+        for key in sorted(table.model_fields_set - known):
             who = f"{loc[1]} does not read it" if len(loc) > 1 else "no model of this study reads it"
             yield (*loc, key), f"{who}; leave it out. Read here: {listed(known) if known else 'none'}"
         others = {
             name for name in readers if "penalty" in reads(name) and split(name)[1] not in ("linear", "lu")
         }
-        if others and "penalty" in given(table):
+        if others and "penalty" in table.model_fields_set:
             instead = f"[models.{split(min(others))[0]}]"
             text = f"is solved by lu alone, not by {listed(others)}; give it in {instead} or leave it out"
             yield (*loc, "penalty"), text
@@ -169,19 +168,15 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
     if isinstance(geometry, FileBody):
         yield from _check_suffix(geometry.path.name, geometry.suffix)
         if geometry.mesh_size is None and not geometry.has_own_tetrahedra:
-            yield ("geometry", "mesh_size"), "is missing; a file needs mesh_size and path"
+            yield ("geometry", "mesh_size"), "is missing; only a file with tetrahedra does without"
         if geometry.size is not None and geometry.scale is not None:
             yield ("geometry", "scale"), "give size or scale, not both"
         if geometry.repair is not None and geometry.has_own_tetrahedra:
             yield ("geometry", "repair"), "is for surfaces; a file with tetrahedra is used as it is"
     try:
         sizes, key = _sizes(geometry), "size" if isinstance(geometry, FileBody) else geometry.extent_key()
-        if sizes and not SMALLEST_EXTENT <= max(sizes) <= LARGEST_EXTENT:
-            raise MeshError(
-                f"the body would be {max(sizes):g} m across, outside {SMALLEST_EXTENT:g} to {LARGEST_EXTENT:g} m: "
-                'a mixed-up unit? A bare number is in metres; write "50 mm"',
-                key,
-            )
+        if sizes:
+            check_extent(max(sizes), 'a bare number is in metres: write "50 mm"', key)
         if sizes and geometry.mesh_size is not None:
             check_mesh_size(geometry.mesh_size, min(sizes))
     except MeshError as error:
@@ -217,7 +212,9 @@ def _check_constraints(study: Study) -> Iterator[Finding]:
         if constraint.region not in study.regions:
             yield (*loc, "region"), unknown(constraint.region, list(study.regions), "region")
         region = study.regions.get(constraint.region)
-        for inside, text in constraint.faults(frozenset(given(region) if region is not None else ())):
+        for inside, text in constraint.faults(
+            frozenset(region.model_fields_set if region is not None else ())
+        ):
             yield (*loc, *inside), text
     for place in [place for place, part in enumerate(study.constraints) if part.kind == "indenter"][1:]:
         yield ("constraints", place, "kind"), "is a second indenter; a study has one, so make it a contact"
@@ -272,7 +269,7 @@ def _mixed_up(size: float, unit: str, modulus: float, extent: float | None) -> s
 def _check_regions(study: Study) -> Iterator[Finding]:
     for name, region in study.regions.items():
         loc: Loc = ("regions", name)
-        if not given(region):
+        if not region.model_fields_set:
             yield (
                 loc,
                 f"selects nothing; give {', '.join(Region.keys())}, or several, all of which are to hold",
@@ -296,7 +293,7 @@ def _check_inclusions(study: Study) -> Iterator[Finding]:
     yield from named_twice("inclusions", inclusions, "inclusion")
     for place, part in enumerate(inclusions):
         loc: Loc = ("inclusions", place)
-        present = given(part) & {"ball", "box", "group"}
+        present = part.model_fields_set & {"ball", "box", "group"}
         if len(present) != 1:
             yield loc, f"give exactly one of ball, box, group{f', not {listed(present)}' if present else ''}"
         yield from _check_box(part.box, (*loc, "box"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Callable
@@ -27,7 +26,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, ErrorDetails, InitErrorDetails, PydanticCustomError, core_schema
 
-from .errors import MOST_TOLD, Loc, Source, listed, unknown
+from .errors import MOST_TOLD, Loc, Source, unknown
 from .units import NUMBER, QuantityError, shown, to_si, type_name
 
 MAX_NAME = 64  # characters
@@ -282,11 +281,6 @@ class Table(BaseModel):
         return kept
 
 
-def given(table: Table) -> set[str]:
-    """The keys that the file has, or that follow from others, as written there."""
-    return {name for name in table.model_fields_set if name[0] != "_"}
-
-
 class OneOf(Table):
     """A table of several kinds, each a class of its own: what its key `by` says, as a `Literal`, registers it.
 
@@ -327,28 +321,6 @@ class OneOf(Table):
         """What is said of a key that is not there: of the kind, which there are."""
         one_of = f", one of {', '.join(cls.kinds)}" if key == cls.by else ""
         return super().missing_key(key) + one_of
-
-    @classmethod
-    def called(cls) -> str:
-        """What a sentence calls it, such as "a sphere"."""
-        (word,) = get_args(cls.model_fields[cls.by].annotation)
-        return f"{'an' if word[0] in 'aeiou' else 'a'} {word}"
-
-    @classmethod
-    def own_keys(cls) -> dict[str, FieldInfo]:
-        """The keys that not every kind has."""
-        common = next(base for base in cls.__mro__ if "kinds" in vars(base) and issubclass(base, OneOf))
-        return {key: field for key, field in cls.keys().items() if key not in common.model_fields}
-
-    @classmethod
-    def unknown_key(cls, key: str) -> str:
-        """What is said of a key that the kind has not."""
-        takes = {*cls.own_keys(), *(name for name, field in cls.keys().items() if field.is_required())} - {
-            cls.by
-        }
-        if difflib.get_close_matches(key[:80], cls.keys()):
-            return super().unknown_key(key)
-        return f"{cls.called()} has no {key if is_safe_name(key) else shown(key)}; it takes {listed(takes)}"
 
     if TYPE_CHECKING:
 

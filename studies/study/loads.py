@@ -161,10 +161,6 @@ class Constraint(OneOf):
         description="names it in sweeps and reports; the region's name where left out",
     )
 
-    @classmethod
-    def called(cls) -> str:
-        return f"{super().called()} constraint"
-
     @property
     def extra(self) -> str:
         """Which of `vdmbench.study.registry.EXTRAS` a model takes that takes it; "" where every model does."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, PlainValidator
 
-from .errors import MeshError, listed
+from .errors import MeshError
 from .kinds import (
     Enters,
     Length,
@@ -71,12 +71,6 @@ class Geometry(OneOf):
         None, description="of the slivers and the perturbation, 0 where left out", ge=0, lt=2**32
     )
 
-    @classmethod
-    def missing_key(cls, key: str) -> str:
-        """What is said of a key that is not there."""
-        needed = {name for name, field in cls.keys().items() if field.is_required()} - {"shape"}
-        return f"is missing; {cls.called()} needs {listed(needed)}" if needed else super().missing_key(key)
-
     @property
     def parameters(self) -> dict[str, Any]:
         """What is given beside the shape and the size of its mesh."""
@@ -102,9 +96,8 @@ class Shape(Geometry):
 
     def extent_key(self) -> str:
         """The key of the largest length."""
-        lengths = {
-            key: getattr(self, key) for key in self.own_keys() if not isinstance(getattr(self, key), str)
-        }
+        own = {key: getattr(self, key) for key in self.keys().keys() - Geometry.model_fields.keys()}
+        lengths = {key: value for key, value in own.items() if not isinstance(value, str)}
         return max(
             lengths, key=lambda key: max(lengths[key]) if isinstance(lengths[key], tuple) else lengths[key]
         )

@@ -196,11 +196,6 @@ def _check_mode(sweep: Mapping[str, Any], axes: Sequence[Axis], *, complete: boo
     if mode == "zip" and complete and len({len(axis.values) for axis in axes}) > 1:
         lengths = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in axes)
         yield ("sweep",), f"zip needs axes of one length, but {lengths}"
-    if mode in ("grid", _STAR):
-        for axis in axes:
-            for value, count in Counter(axis.values).items():
-                if count > 1:
-                    yield axis.loc, f"{_shown(value)} is listed {count} times"
 
 
 # --- cases ---
@@ -338,7 +333,7 @@ def check_cases(
         (label for label, count in Counter(made_ for made_, *_ in made).items() if count > 1), None
     )
     if repeated is not None:
-        found.append((("sweep",), f"makes the case {repeated} more than once"))
+        found.append((("sweep",), f"makes the case {repeated} more than once; leave a value out"))
     return resolved, found
 
 

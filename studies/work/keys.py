@@ -216,8 +216,8 @@ def _supports(inputs: Mapping[str, Any]) -> list[dict[str, Any]]:
     for part in inputs["constraints"]:
         kind = KINDS.get(part["kind"])
         if kind is not None and kind.supports:
-            own = {key: part.get(key) for key in ("kind", *kind.own_keys())}
-            found.append(own | _held(part, inputs) | {"versions": kind.versions(part)})
+            named = {"region": inputs["regions"][part["region"]], "versions": kind.versions(part)}
+            found.append({key: value for key, value in part.items() if key != "name"} | named)
     return found
 
 

@@ -135,9 +135,7 @@ def test_a_shape() -> None:
     assert "ring" in page
     assert_told(
         {
-            ring.replace(
-                'tube = "12 mm"\n', ""
-            ): "geometry.tube: is missing; a ring needs mesh_size, radius, tube",
+            ring.replace('tube = "12 mm"\n', ""): "geometry.tube: is missing: of its tube",
             ring.replace('"ring"', '"rings"'): 'did you mean "ring"',
         }
     )
@@ -167,9 +165,7 @@ def test_a_kind_of_load() -> None:
         {
             liquid.replace(gradient, ""): "gradient: is missing",
             liquid.replace('"9810 Pa/m"', '"3 mm"'): "constraints.finger.gradient",
-            liquid.replace(
-                gradient, 'force = "1 N"'
-            ): "a hydrostatic constraint has no force; it takes gradient",
+            liquid.replace(gradient, 'force = "1 N"'): "known: kind, region, name, gradient",
             liquid.replace('"hydrostatic"', '"hydrostatics"'): 'did you mean "hydrostatic"',
         }
     )
