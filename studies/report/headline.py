@@ -90,13 +90,10 @@ def _limit(limit: Limit) -> Cell:
     if not math.isfinite(limit.value):
         return Cell("no answer", tone="bad")
     bar = f" ± {measure(limit.bar, limit.unit)}" if math.isfinite(limit.bar) else ""
-    counts = (
-        (limit.undecided, "undecided"),
-        (limit.beyond, "beyond"),
-        (limit.unanswered, "without an answer"),
-    )
-    cases = limit.within + sum(count for count, _ in counts)
-    told = [f"{count} of {cases} {what}" for count, what in counts if count and count < cases]
+    cases = sum(limit.counts.values())
+    told = [
+        f"{n} of {cases} {what}" for what, n in limit.counts.items() if what != "within" and 0 < n < cases
+    ]
     about = "\n".join([*told, *([limit.case] if limit.case else [])])
     return Cell(f"{measure(limit.value, limit.unit)}{bar}", about, limit.value, TONES.get(limit.word, ""))
 

@@ -34,14 +34,11 @@ def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
     drawn = [(digest.title(*key), *still(digest, key[1])) for key in digest.key_cases] if stills else []
     shown = [Still(title, _url(labelled(panels)), words) for title, panels, words in drawn if panels]
     cases, models = [case for _, case in digest.key_cases], digest.models
-    few = [name for name in models if name in (digest.focus, digest.reference)]
     roles = [role for role, _ in digest.key_cases]
     intro = note("surface", roles, len(digest.cases), digest.focus, bool(digest.compared))
-    for lean, asked in enumerate(
-        ((cases, models, True), (cases, models, False), (cases[:1], few, False), None)
-    ):
-        data = payload(digest, *asked) if asked else None
-        viewer = Viewer(data, shown, note("viewer", lean, few[0]))
+    for lean, history in enumerate((True, False, None)):
+        data = payload(digest, cases, models, history) if history is not None else None
+        viewer = Viewer(data, shown, note("viewer", lean))
         yield [Section("surface", "Where on the surface", [intro, viewer])]
 
 

@@ -101,6 +101,12 @@ def frame_time(result: ModelResult | None) -> float:
     return float(np.median(known)) if len(known) else math.nan
 
 
+def counted(states: States) -> dict[str, int]:
+    """How many of a model's states in the judged cases are of each kind."""
+    kinds = {"within": WITHIN, "undecided": OPEN, "beyond": BEYOND, "without an answer": LOST}
+    return {name: int((states == kind).sum()) for name, kind in kinds.items()}
+
+
 def word_of(states: Iterable[int]) -> str:
     """The answer to "is it good enough?" from a model's state in each judged case: that of the worst of them."""
     return max((WORD[state] for state in states), key=WORDS.index, default=NOT_JUDGED)

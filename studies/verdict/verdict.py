@@ -29,8 +29,8 @@ from .acceptance import (
     WITHIN,
     WORD,
     Criterion,
-    States,
     UpTo,
+    counted,
     up_to,
     word_of,
 )
@@ -42,32 +42,23 @@ _WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these 
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")
 
 
-@dataclass(frozen=True)
-class Limit:
-    """One limit of [acceptance] and how a model stands against it over the judged cases.
+@dataclass(frozen=True, kw_only=True)
+class Limit(Criterion):
+    """A limit, and how a model stands against it over the judged cases.
 
     Attributes
     ----------
-    key, name : in the study file, and in words
     word : yes, no, undecided or not judged
     value, bar : the number that decides, of the worst case, and the reference's own part in it, NaN where not known
-    allowed, unit : the most that is accepted
     case : the worst case, "" where there is one only
-    within, undecided, beyond, unanswered : cases
+    counts : how many cases are within, undecided, beyond, without an answer
     """
 
-    key: str
-    name: str
     word: str
     value: float
     bar: float
-    allowed: float
-    unit: str
     case: str
-    within: int
-    undecided: int
-    beyond: int
-    unanswered: int
+    counts: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -81,7 +72,7 @@ class Verdict:
     models : those of the family that are compared
     model : the one that decides, which all below is about
     figures : what is known of it; None where none decides
-    judged, within, undecided, beyond, unanswered : cases
+    counts : how many cases are within, undecided, beyond, without an answer
     limits : one entry a limit
     why_not : causes, of what is not within
     up_to : the load up to which every judged case is within; None where the loads are not known
@@ -93,11 +84,7 @@ class Verdict:
     models: tuple[str, ...] = ()
     model: str = ""
     figures: Figures | None = None
-    judged: int = 0
-    within: int = 0
-    undecided: int = 0
-    beyond: int = 0
-    unanswered: int = 0
+    counts: dict[str, int] = field(default_factory=dict)
     limits: tuple[Limit, ...] = ()
     why_not: tuple[Reason, ...] = ()
     up_to: UpTo | None = None
@@ -105,21 +92,15 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Reservation:
-    """What a model says against its own usable answers: the first message of its kind, and in how many cases."""
+class Remark:
+    """What a model says against its own usable answers, or what is doubtful about a constraint.
 
-    model: str
-    message: str
-    cases: int
+    The first text of its kind, and in how many cases.
+    """
 
-
-@dataclass(frozen=True)
-class Doubt:
-    """A doubt about a constraint of the scene, with the first case that raises it."""
-
-    constraint: str
-    case: str
+    about: str
     text: str
+    cases: int
 
 
 @dataclass(frozen=True)
@@ -170,8 +151,8 @@ class Verdicts(Mapping[str, Verdict]):
     outside: tuple[Outside, ...] = ()
     unreached: tuple[Unreached, ...] = ()
     take: tuple[Advice, ...] = ()
-    reservations: tuple[Reservation, ...] = ()
-    doubts: tuple[Doubt, ...] = ()
+    reservations: tuple[Remark, ...] = ()
+    doubts: tuple[Remark, ...] = ()
     small_strain: bool = False
     sure: Sureness | None = None
     measured: tuple[Measured, ...] = ()
@@ -258,18 +239,12 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
         models=digest.families[family],
         model=model,
         figures=figures(digest, model),
-        judged=len(states),
-        **_counts(states),
+        counts=counted(states),
         limits=tuple(_limit(digest, model, one) for one in digest.criteria),
         why_not=reasons(digest, model),
         up_to=up_to(digest.known_loads, digest.worst_states(model, of_load=True)),
         states={**unjudged, **judged},
     )
-
-
-def _counts(states: States) -> dict[str, int]:
-    kinds = {"within": WITHIN, "undecided": OPEN, "beyond": BEYOND, "unanswered": LOST}
-    return {name: int((states == kind).sum()) for name, kind in kinds.items()}
 
 
 def _limit(digest: Digest, model: str, one: Criterion) -> Limit:
@@ -281,36 +256,33 @@ def _limit(digest: Digest, model: str, one: Criterion) -> Limit:
     sizes = np.where((states == deciding) & np.isfinite(values), values, -math.inf)
     worst = int(np.argmax(sizes)) if deciding is not None else None
     return Limit(
-        key=one.key,
-        name=one.name,
+        **vars(one),
         word=word_of(asked.tolist()),
         value=float(values[worst]) if worst is not None else math.nan,
         bar=float(bars[worst]) if worst is not None else math.nan,
-        allowed=one.allowed,
-        unit=one.unit,
         case=digest.case_name(digest.cases[worst]) if worst is not None and len(states) > 1 else "",
-        **_counts(asked),
+        counts=counted(asked),
     )
 
 
 # --- what speaks against it ---
 
 
-def _doubts(digest: Digest) -> Iterator[Doubt]:
+def _doubts(digest: Digest) -> Iterator[Remark]:
     """What is doubtful about the scenes of the key cases: each constraint's, of several cases the first."""
-    seen = set()
+    found: dict[str, list[str]] = {}
     for _, case in digest.key_cases:
         study, factor = case.study, float(abs(case.load_factors).max())
         about = study.constraints, study.tissue, case.regions, case.points, case.triangles, factor
         for loc, text in scene_warnings(*about):
-            if loc not in seen:
-                seen.add(loc)
-                of_constraint = loc[0] == "constraints"
-                name = study.constraints[int(loc[1])].name if of_constraint else ".".join(map(str, loc))
-                yield Doubt(name, digest.case_name(case), text)
+            of_constraint = loc[0] == "constraints"
+            name = study.constraints[int(loc[1])].name if of_constraint else ".".join(map(str, loc))
+            found.setdefault(name, []).append(text)
+    for name, texts in found.items():
+        yield Remark(name, texts[0], len(texts))
 
 
-def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Reservation]:
+def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Remark]:
     """What models and reference say of steps that can be used, and what the numbers of the models say of it.
 
     Of messages of one model that differ in a number alone the first is told.
@@ -328,7 +300,7 @@ def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Reservation
             for skeleton, message in {_NUMBER.sub("", m): m for m in messages[-2:]}.items():
                 found.setdefault((name, skeleton), []).append(message)
     for (name, _), messages in found.items():
-        yield Reservation(name, messages[0], len(messages))
+        yield Remark(name, messages[0], len(messages))
 
 
 # --- how sure, and what was measured ---

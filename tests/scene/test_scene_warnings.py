@@ -122,7 +122,7 @@ def test_the_report_tells_them_too(tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     run = make_run([dataclasses.replace(case, regions=lone)])
     (doubt,) = verdicts(Digest(run)).doubts
-    assert doubt.constraint == "base"
+    assert doubt.about == "base"
     assert doubt.text.startswith("holds one lone node and no facet")
     write_report(run, page)
     assert "The scene is doubtful: base holds one lone node and no facet" in page.read_text()

@@ -17,7 +17,7 @@ from vdmbench.study.config import resolved
 from vdmbench.study.registry import family_of
 from vdmbench.verdict.acceptance import BEYOND, OPEN, WITHIN
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.verdict import Reservation, Verdict, verdicts
+from vdmbench.verdict.verdict import Remark, Verdict, verdicts
 from vdmbench.verdict.words import told
 
 MODEL = "vdm-vector"
@@ -84,9 +84,9 @@ def test_each_family_has_its_word_and_none_hides_another() -> None:
 def test_the_word_is_that_of_the_worst_judged_case() -> None:
     assert verdict(swept({MODEL: 0.01}, {MODEL: 0.2})).word == "no"
     lost = verdict(swept({MODEL: 0.01}, {MODEL: math.nan}))
-    assert (lost.word, lost.within, lost.unanswered) == ("no", 1, 1)
+    assert (lost.word, lost.counts["within"], lost.counts["without an answer"]) == ("no", 1, 1)
     open_ = verdict(swept({MODEL: 0.01}, {MODEL: 0.095}, reference_error=bars(0.01)))
-    assert (open_.word, open_.within, open_.undecided) == ("undecided", 1, 1)
+    assert (open_.word, open_.counts["within"], open_.counts["undecided"]) == ("undecided", 1, 1)
 
 
 def test_who_answers_few_cases_does_not_decide() -> None:
@@ -141,7 +141,7 @@ def test_a_sweep_is_judged_where_its_reference_is_in_range() -> None:
     """The last load moves the body by 17 % of its smallest extent: it alone is not judged."""
     found = verdicts(Digest(swept({MODEL: 0.01}, {MODEL: 0.02}, {MODEL: 0.5}, load=(1.0, 2.0, 8.0))))
     one = found["vdm-derived"]
-    assert (one.word, one.judged, one.within) == ("yes", 2, 2)
+    assert (one.word, sum(one.counts.values()), one.counts["within"]) == ("yes", 2, 2)
     assert list(one.states.values()) == ["yes", "yes", "not judged"]
     assert [out.name for out in found.outside] == ["2"]
     assert found.outside[0].moved == pytest.approx(0.1713, rel=1e-3)
@@ -173,7 +173,7 @@ def test_a_yes_carries_the_reservations_of_model_and_reference(model: str) -> No
     before = verdicts(Digest(make_run([case]))).reservations
     found = verdicts(Digest(make_run([with_status(case, model, "doubtful")])))
     assert found["vdm-derived"].word == "yes"
-    assert set(found.reservations) - set(before) == {Reservation(model, "doubtful", 1)}
+    assert set(found.reservations) - set(before) == {Remark(model, "doubtful", 1)}
 
 
 def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
