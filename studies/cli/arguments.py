@@ -86,9 +86,6 @@ class _Version(argparse.Action):
 # --- what arguments may be, each told where it is not ---
 
 
-_LEAST_MEMORY = 50_000_000
-
-
 def run_directory(text: str) -> Path:
     """A directory with a plan, or one that has lost it, which is not the command's fault. Raises InputError."""
     path = Path(text)
@@ -117,19 +114,6 @@ def _number(pattern: str, kind: Callable[[str], Any], told: str) -> Callable[[st
 
 positive = _number(r"[0-9]{1,6}", int, "a whole number of 1 or more")
 positive_seconds = _number(r"[0-9]{0,9}(\.[0-9]*)?", float, "a number of seconds of more than 0")
-
-
-def size_in_bytes(text: str) -> int:
-    """A size such as 4GB in bytes."""
-    found = re.fullmatch(r"([0-9]+(?:\.[0-9]+)?) ?(kB|MB|GB|TB)", text)
-    if found is None or float(found[1]) == 0:
-        raise argparse.ArgumentTypeError("write a size such as 500MB or 4GB")
-    size = int(float(found[1]) * 1000 ** (1 + ["kB", "MB", "GB", "TB"].index(found[2])))
-    if size < _LEAST_MEMORY:
-        raise argparse.ArgumentTypeError(
-            f"must be {_LEAST_MEMORY // 1_000_000}MB or more: a worker takes as much before it solves anything"
-        )
-    return size
 
 
 def shard(text: str) -> tuple[int, int]:

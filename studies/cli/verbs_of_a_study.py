@@ -21,7 +21,6 @@ from .arguments import (
     place,
     positive_seconds,
     shard,
-    size_in_bytes,
     study_argument,
     verb,
 )
@@ -264,19 +263,13 @@ def plan_study(options: argparse.Namespace) -> int:
         "allow a scheduler on another machine without TLS: whoever reaches its network can run programs",
     ),
     option("--timeout", type=positive_seconds, metavar="S", help="seconds that one case may take"),
-    option(
-        "--memory",
-        type=size_in_bytes,
-        metavar="SIZE",
-        help="memory that one worker may take, such as 4GB (default: the machine's, divided by the jobs)",
-    ),
 )
 def run_study(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
     study = load(options)
     plan = make_plan(study, options)
     require_own(plan, options)
-    names = ("shard", "timeout", "memory", "scheduler", "insecure_scheduler")
+    names = ("shard", "timeout", "scheduler", "insecure_scheduler")
     how = {name: getattr(options, name) for name in names}
     run, report = run_missing(plan, options, **how)
     return print_run(run, plan.directory, report, options.json)

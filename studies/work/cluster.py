@@ -42,11 +42,10 @@ class Cluster:
     Parameters
     ----------
     scratch : a directory of this run alone, seen by all machines: where it is gone, what is at work stops
-    memory : bytes that one process may take
     """
 
-    def __init__(self, client: Any, address: str, scratch: Path, memory: int | None) -> None:
-        self._client, self._address, self._scratch, self._memory = client, address, scratch, memory
+    def __init__(self, client: Any, address: str, scratch: Path) -> None:
+        self._client, self._address, self._scratch = client, address, scratch
         self._executor = client.get_executor(pure=False)
 
     @property
@@ -65,7 +64,6 @@ class Cluster:
             "scratch": str(self._scratch),
             "versions": _versions(),
             "timeout": seconds,
-            "memory": self._memory,
         }
         future: Future[str] = self._executor.submit(carry_out, json.dumps(request))
         return future
@@ -93,7 +91,7 @@ class Cluster:
 
 
 @contextmanager
-def cluster_pool(address: str, directory: Path, memory: int | None, *, insecure: bool) -> Iterator[Cluster]:
+def cluster_pool(address: str, directory: Path, *, insecure: bool) -> Iterator[Cluster]:
     """The workers of the scheduler at `address`, such as "tcp://127.0.0.1:8786" or "tls://host:8786".
 
     Raises
@@ -130,7 +128,7 @@ def cluster_pool(address: str, directory: Path, memory: int | None, *, insecure:
             raise ClusterError(message) from None
         scratch = (directory / f".cluster-{uuid4().hex}").absolute()
         scratch.mkdir(parents=True)
-        cluster = Cluster(client, address, scratch, memory)
+        cluster = Cluster(client, address, scratch)
         try:
             yield cluster
         finally:
@@ -197,7 +195,7 @@ def carry_out(text: str) -> str:
     log = Path(request["log"])
     # a nanny starts its worker as a daemon, which may have no processes of its own
     multiprocessing.current_process().daemon = False
-    with local_pool(1, request["memory"]) as pool:
+    with local_pool(1) as pool:
         future = pool.submit(request["task"], log, request["timeout"])
         while not future.done() and Path(request["scratch"]).is_dir():
             time.sleep(_POLL)

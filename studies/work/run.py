@@ -54,12 +54,11 @@ class Event:
 
 @dataclass(frozen=True)
 class Options:
-    """How to run. `timeout` is per case [s], `memory` per worker [bytes], by default its share of the machine's."""
+    """How to run. `timeout` is per case [s]."""
 
     jobs: int
     shard: tuple[int, int] = (1, 1)
     timeout: float | None = None
-    memory: int | None = None
     scheduler: str | None = None  # address of a Dask scheduler, whose workers do the tasks
     insecure_scheduler: bool = False  # also without TLS on another machine
     times: bool = (
@@ -172,13 +171,13 @@ def _tidy(plan: Plan) -> None:
 def _pool(plan: Plan, options: Options) -> Iterator[Pool]:
     """What does the tasks: processes of this machine, or a cluster."""
     if options.scheduler is None:
-        with local_pool(options.jobs, options.memory) as here:
+        with local_pool(options.jobs) as here:
             yield here
         return
     from .cluster import cluster_pool
 
     insecure = options.insecure_scheduler
-    with cluster_pool(options.scheduler, plan.directory, options.memory, insecure=insecure) as cluster:
+    with cluster_pool(options.scheduler, plan.directory, insecure=insecure) as cluster:
         yield cluster
 
 

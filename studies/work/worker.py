@@ -38,7 +38,7 @@ from .plan import PlannedCase
 OUT_OF_MEMORY = re.compile(
     "bad_alloc|memory allocation of|cannot allocate memory|cannot map zero-fill|failed to map segment", re.I
 )
-MORE_MEMORY = "use a coarser mesh, fewer --jobs, or allow more with --memory"
+MORE_MEMORY = "use a coarser mesh, or fewer --jobs"
 WHERE = "where: "  # begins a line of a log that says where a solve is
 _APART = 2.0  # s between such lines
 SLOW = 20.0  # s of a set-up and a step, from which on a model is not answered again for its times alone

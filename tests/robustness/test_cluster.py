@@ -165,7 +165,7 @@ def test_tls_takes_those_with_a_certificate_only(tmp_path: Path, local_run: Path
 
 
 def _connect(address: str, directory: Path) -> None:
-    with cluster_pool(address, directory, None, insecure=False):
+    with cluster_pool(address, directory, insecure=False):
         pass
 
 

@@ -1,31 +1,12 @@
-"""A case that asks for more memory than a worker may take: it fails with a remedy, the others do not notice."""
+"""A limit of memory in which no solver can be loaded; what a worker may not take is a matter of the pool."""
 
 from __future__ import annotations
 
-import json
 import resource
 import subprocess
 from pathlib import Path
 
 from tests.command import SCRIPT, write_study
-
-from . import processes
-from .processes import RUN
-
-
-def test_a_case_that_takes_too_much_costs_itself_only(tmp_path: Path) -> None:
-    # at 4 mm the reference takes some 400 MB, at 20 mm the libraries of meshing take the most, some 100 MB
-    write_study(tmp_path, a=("[load]", '[sweep]\n"geometry.mesh_size" = ["20 mm", "4 mm"]\n[load]'))
-    arguments = ("run", "small.toml", "--jobs", "1", "--memory", "200MB")
-    with processes.start(*arguments, cwd=tmp_path) as process:
-        output = processes.output_of(process)
-    assert process.returncode == 3, output
-    assert "1 done, 1 failed, 0 missing" in output
-    remedy = "out of memory; use a coarser mesh, fewer --jobs, or allow more with --memory"
-    assert f"failed: mesh_size = 0.004 m: {remedy}\n" in output
-    assert "Traceback" not in output
-    (failure,) = (tmp_path / RUN / "failed").glob("*.json")
-    assert json.loads(failure.read_text())["message"] == "out of memory"
 
 
 def test_a_limit_of_the_shell_in_which_nothing_can_be_loaded_is_told(tmp_path: Path) -> None:

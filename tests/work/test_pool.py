@@ -173,7 +173,7 @@ def test_memory_that_ran_out_is_told_as_such(tmp_path: Path) -> None:
     assert found.pop("write").ok
     for said in found.values():
         assert said.message == "out of memory"
-        assert "--memory" in said.remedy
+        assert "--jobs" in said.remedy
 
 
 def test_a_slow_task_is_stopped(tmp_path: Path) -> None:
