@@ -169,21 +169,6 @@ def test_frames_on_a_kept_slope_are_those_of_one_made_for_each(monkeypatch: pyte
     assert_allclose(warm.displacement[-1], cold.displacement[0], rtol=0.0, atol=1e-6 * size)
 
 
-def test_a_slope_that_is_kept_closes_the_volumes_of_the_state() -> None:
-    body, x = bent(clamped(BAR), 4)
-    load, pressure = Load(np.zeros(len(BAR[0]))), np.full(4, 400.0)
-    state = body.balance(load, x, pressure)
-    body.correction(state, state.lacking, state.gap, np.eye(3))
-    slope = body._slope
-    way = np.random.default_rng(2).standard_normal(x.shape)
-    other = body.balance(load, x + np.where(body.free[:, None], 1e-3 * SIDE * way, 0.0), pressure)
-    change = np.zeros_like(x)
-    change[body.free] = 1e-4 * body.correction(other, np.zeros_like(x), other.gap, np.eye(3))[0]
-    assert body._slope is slope
-    ahead, behind = (body.balance(load, other.x + s * change, pressure).gap for s in (1.0, -1.0))
-    assert_allclose(0.5 * (ahead - behind), -1e-4 * other.gap, rtol=1e-4, atol=0.0)
-
-
 def test_a_beam_bends_as_the_elastica(monkeypatch: pytest.MonkeyPatch) -> None:
     """`P L^2 / (E I) = 2`: the tip comes down by 0.4935 L and back by 0.1606 L (Bisshopp and Drucker 1945).
 
@@ -227,7 +212,7 @@ def test_parts_are_doubled_as_the_answers_ask_for(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(
         "vdm.parts.body.MOST_TURN", np.inf
     )  # the linear answer asks for one part, which bends too far
-    body = box(counts=(16, 3, 3), size=(LENGTH, SIDE, SIDE))
+    body = box(counts=(12, 3, 3), size=(LENGTH, SIDE, SIDE))
     found = clamped(body).solve(
         [at_tip(body[0], np.array([0.0, 0.0, -2.0 * E * SIDE**4 / 12.0 / LENGTH**2]))]
     )

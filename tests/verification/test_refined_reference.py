@@ -24,7 +24,7 @@ VECTOR, DEFORMATION = "relative_l2_displacement_error", "relative_l2_deformation
 STUDY = Study.model_validate(
     {
         "study": {"name": "test", "models": ["fem-linear"]},
-        "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.02},
+        "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.025},
         "tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.4999},
         "regions": {
             "base": {"below": {"axis": "z", "fraction": 0.3}},
