@@ -44,6 +44,12 @@ def meshes() -> Iterator[Refused]:
         (r"tetrahedra has shape \(0, 4\)", {"tetrahedra": CUBE.tetrahedra[:0]}),
     ):
         yield words, lambda change=change: TetMesh(*replace(CUBE, **change).arrays)
+    # the surface of the mirrored cube: the same vertices and volume, but other diagonals
+    mirror = np.argmin(
+        np.linalg.norm(CUBE.points[:, None] * [-1, 1, 1] + [1, 0, 0] - CUBE.points, axis=2), axis=1
+    )
+    other = replace(CUBE, triangles=mirror[CUBE.triangles][:, ::-1])
+    yield "an edge that no tetrahedron has", lambda: TetMesh(*other.arrays)
 
 
 def supports() -> Iterator[Refused]:

@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.bodies import telling_names
-from tests.example_case import asked, example_case
 from tests.fem.shapes import cube
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
@@ -26,8 +25,6 @@ from vdmbench.measures.metrics import (
     relative_l2_displacement_error,
 )
 from vdmbench.measures.reference import level_scene
-from vdmbench.report.scene_picture import Outline, Stage, scene_figure
-from vdmbench.report.section_scene import outlines_of
 from vdmbench.scene.inclusions import moduli
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
@@ -231,17 +228,3 @@ def test_keys_have_what_a_model_knows() -> None:
     assert elements["base"] == elements["refusing"]
     assert len({elements[name] for name in ("base", "stiffer", "without")}) == 3
     assert len({case_hash(study(**given), "mesh") for given in tables.values()}) == 4
-
-
-def test_it_is_drawn_where_it_is() -> None:
-    ball = {"name": "lump", "ball": {"center": [0.1, 0.2, 0.3], "radius": 0.2}, "youngs_modulus": 1e4}
-    vessel = {"name": "vessel", "group": "a", "youngs_modulus": 1e4}
-    case = asked(example_case(), inclusions=[ball, UPPER, vessel])
-    lump, upper = outlines_of(case)
-    assert_allclose(np.linalg.norm(lump.segments - [0.1, 0.2, 0.3], axis=2), 0.2)
-    assert len(upper.segments) == 12
-    assert_allclose(upper.segments.reshape(-1, 3).max(axis=0), [2.0, 2.0, 2.0])
-    plain = scene_figure(Stage(case.points, case.triangles, []))
-    drawn = scene_figure(Stage(case.points, case.triangles, [], [Outline("lump", lump.segments)]))
-    assert len(drawn.axes[0].collections) == len(plain.axes[0].collections) + 1
-    assert [text.get_text() for text in drawn.legends[0].get_texts()] == ["inside: lump"]

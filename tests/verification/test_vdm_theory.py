@@ -9,7 +9,7 @@ import pytest
 from scipy.special import eval_legendre
 
 import vdm
-from tests.vdm.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import BODY, POINTS, icosphere, model
 from tests.verification.records import Verified
 from vdm import FORMULATIONS, Load, Model, Parameters, SurfaceMesh
 from vdm.material import connectivity_modulus_from_tension
@@ -73,12 +73,10 @@ def test_betti_holds_where_the_operator_is_symmetric_and_fails_in_the_printed_on
 
 def rigid_share(formulation: str, kind: str) -> float:
     """Energy of a rigid motion over that of a stretch of the same size, by the operator with its free rotation."""
-    points, triangles = icosphere(2, (0.05, 0.06, 0.045))
-    surface = SurfaceMesh(points, triangles)
-    form = FORMULATIONS[formulation](surface, Parameters.from_tissue(5000.0, surface, formulation))
-    centred = points - points.mean(axis=0)
+    form = FORMULATIONS[formulation](BODY, Parameters.from_tissue(5000.0, BODY, formulation))
+    centred = POINTS - POINTS.mean(axis=0)
     fields = {
-        "translation": np.broadcast_to([0.0, 0.0, 0.05], points.shape),
+        "translation": np.broadcast_to([0.0, 0.0, 0.05], POINTS.shape),
         "rotation": np.cross([0.0, 0.0, 1.0], centred),
         "stretch": centred * [1.0, 0.0, -1.0],
     }
@@ -95,27 +93,17 @@ def rigid_share(formulation: str, kind: str) -> float:
 
 
 def unbalanced_share(formulation: str) -> float:
-    """|sum of reactions + sum of loads| over the load, for a ball on its base under a finger."""
-    points, triangles = icosphere(2, (0.05, 0.05, 0.05))
-    surface = SurfaceMesh(points, triangles)
-    pressure = np.where((points[:, 2] > 0.03) & (points[:, 0] > 0.01), 200.0, 0.0)
-    force = -(surface.area_vectors * pressure[:, None]).sum(axis=0)
-    parameters = Parameters.from_tissue(5000.0, surface, formulation)
-    solution = answer(
-        points, triangles, parameters, formulation, [Load(pressure)], fixed=points[:, 2] < -0.04
-    )
-    return float(np.linalg.norm(solution.reaction_force[0].sum(axis=0) + force) / np.linalg.norm(force))
+    """|sum of reactions + sum of loads| over the load, for a body on its base under a finger."""
+    pressure = np.where((POINTS[:, 2] > 0.03) & (POINTS[:, 0] > 0.01), 200.0, 0.0)
+    force = -(BODY.area_vectors * pressure[:, None]).sum(axis=0)
+    reaction = model(formulation).solve([Load(pressure)]).reaction_force[0].sum(axis=0)
+    return float(np.linalg.norm(reaction + force) / np.linalg.norm(force))
 
 
 def datum_share(formulation: str) -> float:
     """How far displacements move when every delta_i grows by 1 m, over their size."""
-    points, triangles = icosphere(2, (0.05, 0.06, 0.045))
-    surface = SurfaceMesh(points, triangles)
-    parameters = Parameters.from_tissue(5000.0, surface, formulation)
-    weight = 1000.0 * 9.81 * (points[:, 2].max() - points[:, 2])
-    loads = [Load(-weight), Load(-weight - 9810.0)]
-    fixed = points[:, 2] < -0.03
-    moved = answer(points, triangles, parameters, formulation, loads, fixed=fixed).displacement
+    weight = 1000.0 * 9.81 * (POINTS[:, 2].max() - POINTS[:, 2])
+    moved = model(formulation).solve([Load(-weight), Load(-weight - 9810.0)]).displacement
     return float(np.abs(moved[1] - moved[0]).max() / np.abs(moved[0]).max())
 
 
@@ -187,8 +175,7 @@ def compliance(formulation: str, level: int, parameters: Parameters | None) -> f
 
 
 # the parameters of one mesh on all of them: T and k for the new forms, B and B_ij for the paper's
-MESH_2 = SurfaceMesh(*icosphere(2, (0.05, 0.06, 0.045)))
-FIXED_PARAMETERS = {name: free_parameters(name, MESH_2) for name in NAMES}
+FIXED_PARAMETERS = {name: free_parameters(name, BODY) for name in NAMES}
 
 
 @an_order
