@@ -28,19 +28,10 @@ from .scene.result import ModelResult
 from .scene.scene import Scene, build_scene
 from .study.errors import InputError
 from .study.registry import PARAMETERS, is_surface
-from .study.schema import Study
 from .verdict.formatting import NOT_MEASURED, NOTHING, percent, quantity
 from .work.plan import Plan, PlannedCase, needs_volume
 
 WIDEST = 1e5  # of a ratio of two moduli over that of their rules, and of a modulus over its rule
-MODULI = {  # parameters that can be fitted -> the one whose rule gives the scale where it has none of its own
-    "bulk_modulus": "",
-    "connectivity_modulus": "",
-    "foundation": "",
-    "surface_tension": "",
-    "stretch_stiffness": "surface_tension",
-    "shear_modulus": "",
-}
 _STEP = 1e-4  # of a logarithm, for slopes
 _SAME = 1e-6  # of a displacement: less is rounding, and that of solvers that iterate
 
@@ -79,16 +70,10 @@ class Sample:
 
 @dataclass(frozen=True)
 class Body:
-    """A study that has been run, with its finished loads.
-
-    Attributes
-    ----------
-    asked : parameters to fit; None for those that the rules set
-    """
+    """A study that has been run, with its finished loads."""
 
     name: str
     models: tuple[str, ...]
-    asked: tuple[str, ...] | None
     training: tuple[Sample, ...]
     held_out: tuple[Sample, ...]
 
@@ -108,7 +93,7 @@ def check_fit(plan: Plan) -> None:
     check(plan)
     study = plan.cases[0].study  # which has what is swept, as all cases have
     for name in filter(is_surface, study.study.models):
-        to_fit(name, study.vdm_parameters(), study.model_parameters(), _asked(study))
+        to_fit(name, study.vdm_parameters(), study.model_parameters())
 
 
 def loads_of(plan: Plan) -> dict[str, PlannedCase]:
@@ -182,11 +167,7 @@ def body(plan: Plan, run: Run) -> Body:
     check(plan)
     study = plan.study
     models = tuple(filter(is_surface, study.study.models))
-    return Body(study.study.name, models, _asked(study), *samples_of(plan, run))
-
-
-def _asked(study: Study) -> tuple[str, ...] | None:
-    return study.calibration.parameters if study.calibration is not None else None
+    return Body(study.study.name, models, *samples_of(plan, run))
 
 
 # --- One model on some loads ---
@@ -205,34 +186,24 @@ class Errors:
 
 
 def to_fit(
-    name: str,
-    parameters: Mapping[str, object],
-    overrides: Mapping[str, Mapping[str, object]],
-    asked: Sequence[str] | None,
+    name: str, parameters: Mapping[str, object], overrides: Mapping[str, Mapping[str, object]]
 ) -> tuple[str, ...]:
-    """Which parameters of a model are fitted.
+    """Which parameters of a model are fitted: those that its rule sets and the study leaves to it.
 
     Parameters
     ----------
     parameters, overrides : what the study sets, for all models and for single ones by their full name
-    asked : parameters to fit, of which the model takes those that it reads; by default those that its rule sets
-        and the study leaves to it
 
     Raises
     ------
     CalibrationError
         none.
     """
-    if asked is not None:
-        names = [key for key in asked if key in models.reads(name)]
-        why = f"it reads none of {', '.join(asked)}"
-    else:
-        given = {*parameters, *overrides.get(name, {})}
-        names = [key for key in models.find(name)[0].by_rule if key not in given]
-        why = "the study sets all of them"
+    given = {*parameters, *overrides.get(name, {})}
+    names = tuple(key for key in models.find(name)[0].by_rule if key not in given)
     if not names:
-        raise CalibrationError(f"{name} has no parameter left to fit: {why}")
-    return tuple(names)
+        raise CalibrationError(f"{name} has no parameter left to fit: the study sets all of them")
+    return names
 
 
 class Trial:
@@ -240,7 +211,7 @@ class Trial:
 
     Parameters
     ----------
-    asked : parameters to fit, see `to_fit`
+    names : of the parameters; by default those of `to_fit`
 
     Raises
     ------
@@ -248,11 +219,11 @@ class Trial:
         nothing to fit, or a load that the model cannot solve.
     """
 
-    def __init__(self, name: str, samples: Sequence[Sample], asked: Sequence[str] | None = None) -> None:
+    def __init__(self, name: str, samples: Sequence[Sample], names: Sequence[str] | None = None) -> None:
         self.name = name
         self.samples = tuple(samples)
         first = samples[0].scene
-        self.names = to_fit(name, first.parameters, first.overrides, asked)
+        self.names = tuple(names or to_fit(name, first.parameters, first.overrides))
         alike: dict[str, list[int]] = {}  # places of the loads on one body
         for place, sample in enumerate(self.samples):
             alike.setdefault(sample.bodies.get(name, ""), []).append(place)
@@ -286,8 +257,7 @@ class Trial:
         )
 
     def _rule(self, result: ModelResult) -> Array:
-        by_rule = result.parameters
-        return np.array([float(by_rule.get(key, by_rule.get(MODULI[key], 0.0))) for key in self.names])
+        return np.array([float(result.parameters[key]) for key in self.names])
 
     def _run(self, values: Sequence[Array] | None) -> list[ModelResult]:
         """The result of each load with these parameters [SI], or with those of the rule."""
@@ -350,7 +320,7 @@ class Calibration:
 
 def calibrate(body: Body, others: Sequence[Body] = ()) -> list[Calibration]:
     """Fit every surface model of a body and try the fits elsewhere."""
-    found = [fit(name, body.training, body.held_out, body.asked) for name in body.models]
+    found = [fit(name, body.training, body.held_out) for name in body.models]
     return [
         Calibration(one, {other.name: _errors(other, one) for other in others if one.model in other.models})
         for one in found
@@ -362,9 +332,7 @@ def _errors(there: Body, found: Fit) -> Errors:
     return trial.errors(np.array(list(found.multiples.values())))
 
 
-def fit(
-    name: str, training: Sequence[Sample], held_out: Sequence[Sample], asked: Sequence[str] | None = None
-) -> Fit:
+def fit(name: str, training: Sequence[Sample], held_out: Sequence[Sample]) -> Fit:
     """Fit one model on training loads by the mean squared relative error of the displacement vector.
 
     Raises
@@ -372,7 +340,7 @@ def fit(
     CalibrationError
         see `Trial` and `least_error`.
     """
-    trial, unseen = Trial(name, training, asked), Trial(name, held_out, asked)
+    trial, unseen = Trial(name, training), Trial(name, held_out)
     multiples = least_error(trial)
     return Fit(
         model=name,

@@ -13,7 +13,7 @@ from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_tw
 from .fields import unit_of
 from .kinds import Table
 from .measured import Measured, same_load
-from .registry import BROKEN, DISPLACEMENT_ELEMENTS, find, is_surface, model_names, reads, split
+from .registry import BROKEN, DISPLACEMENT_ELEMENTS, find, model_names, reads, split
 from .schema import (
     LAW_KEYS,
     LAWS,
@@ -77,7 +77,6 @@ def _check_models(study: Study) -> Iterator[Finding]:
     if set(info.models) <= set(known):  # of a wrong name nobody knows what it was to read
         yield from _check_reference(study)
         yield from _check_read(study)
-        yield from _check_calibration(study)
 
 
 def holds_nothing(study: Study) -> bool:
@@ -117,25 +116,6 @@ def _check_read(study: Study) -> Iterator[Finding]:
             instead = f"[models.{split(min(others))[0]}]"
             text = f"is solved by lu alone, not by {listed(others)}; give it in {instead} or leave it out"
             yield (*loc, "penalty"), text
-
-
-def _check_calibration(study: Study) -> Iterator[Finding]:
-    """Parameters to fit, where the study names them: a model of VDM has to read each, each model one of them."""
-    names = [name for name in study.study.models if is_surface(name)]
-    asked = (study.calibration and study.calibration.parameters) or ()
-    if not asked:
-        return  # left to the rules
-    known = set().union(*map(reads, names)) & set(asked)
-    for place, key in enumerate(asked):
-        loc = ("calibration", "parameters", place)
-        if key not in known:
-            yield loc, f"no VDM model of this study reads {key}; leave it out"
-        elif key in asked[:place]:
-            yield loc, f"{key} is listed twice"
-    for name in names:
-        if known and known.isdisjoint(reads(name)):
-            text = f"{name} reads none of them; add one that it reads, or leave parameters out to fit all"
-            yield ("calibration", "parameters"), text
 
 
 # --- tissue and body ---

@@ -424,29 +424,10 @@ class Limits(Table):
 
 
 class Calibration(Table):
-    """[calibration]: which loads a fit of the [vdm] parameters may see; the others are held out"""
+    """[calibration]: which loads a fit may see; the others are held out. What a study sets is not fitted"""
 
     training: int | None = Field(
         None, description="the first so many cases train; half of them where left out", ge=1
-    )
-    parameters: (
-        tuple[
-            Literal[
-                "bulk_modulus",
-                "connectivity_modulus",
-                "foundation",
-                "surface_tension",
-                "stretch_stiffness",
-                "shear_modulus",
-            ],
-            ...,
-        ]
-        | None
-    ) = Field(
-        None,
-        description="what to fit, in each model what it reads; left out: what the study leaves to its rule",
-        min_length=1,
-        strict=False,
     )
 
 

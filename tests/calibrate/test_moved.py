@@ -53,7 +53,7 @@ def loss(trial: Trial, multiples: np.ndarray) -> float:
         ("bem", ["shear_modulus"], [0.4], False),
         ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5], False),
         ("vdm-paper", ["bulk_modulus", "connectivity_modulus"], [0.3, 2.5], True),
-        ("vdm-vector", ["foundation", "surface_tension", "stretch_stiffness"], [0.5, 1.2, 0.3], False),
+        ("vdm-vector", ["foundation", "surface_tension"], [0.5, 1.2], False),
         ("vdm-vector", ["surface_tension"], [20.0], True),
         ("vdm-vector:nonlinear", ["surface_tension"], [1.7], True),
     ],
