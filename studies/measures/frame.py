@@ -76,7 +76,7 @@ COLUMNS = (
     "unit",
     "status",
 )
-COSTS = {"seconds_setup": "s", "seconds_per_step": "s", "peak_bytes": "B"}
+COSTS = {"seconds_setup": "s", "seconds_per_step": "s", "frame_time": "s", "peak_bytes": "B"}
 
 
 def frame(run: Run) -> DataFrame:

@@ -60,6 +60,13 @@ class ModelResult:
     part_of_node: NDArray[np.int64] | None = None  # (N,) see `Solution.part_of_node`
     frames: FrameTimes | None = None  # measured anew when the run ended; None where they were not
 
+    @property
+    def frame_time(self) -> float:
+        """Median of the measured times of a frame of the contact [s]; NaN where none was measured."""
+        times = self.frames.contact if self.frames is not None else np.zeros(0)
+        known = times[np.isfinite(times)]
+        return float(np.median(known)) if len(known) else np.nan
+
     def __post_init__(self) -> None:
         taken = self.scalars.keys() & {own.name for own in fields(self)}
         if taken:  # they are columns of one table

@@ -94,13 +94,6 @@ def time_state(result: ModelResult | None, allowed: float) -> int:
     return BEYOND if len(times) >= LEAST_TIMES and times.min() > allowed else OPEN
 
 
-def frame_time(result: ModelResult | None) -> float:
-    """The median time of a frame of the contact; NaN where none was measured."""
-    times = result.frames.contact if result is not None and result.frames is not None else np.zeros(0)
-    known = times[np.isfinite(times)]
-    return float(np.median(known)) if len(known) else math.nan
-
-
 def counted(states: States) -> dict[str, int]:
     """How many of a model's states in the judged cases are of each kind."""
     kinds = {"within": WITHIN, "undecided": OPEN, "beyond": BEYOND, "without an answer": LOST}

@@ -62,7 +62,7 @@ class Shortfall:
 
     def _at(self, model: str, one: Criterion, step: int | None) -> float:
         step = self.case.full_load if step is None else step
-        return float(self.digest.limited(model, one)[0][self.place, step])
+        return float(self.digest.history(model, one.metric)[self.place, step])
 
     def part(self, model: str | None, step: int | None = None) -> float:
         """How much of what is broken another model, or another step, takes: the largest share of a limit."""
@@ -215,8 +215,7 @@ def the_time(shortfall: Shortfall) -> Iterator[Reason]:
     for limit in (c for c in digest.criteria if not c.of_load):
         states = set(digest.at_full(digest.states(model, limit)).tolist())
         if states & {BEYOND, OPEN}:
-            times = digest.at_full(digest.limited(model, limit)[0])
-            slowest = float(np.nanmax(times, initial=0.0))
+            slowest = float(np.nanmax(digest.full_loads(model, limit.metric), initial=0.0))
             yield Reason(TIME, {limit.key: slowest}, {"sure": BEYOND in states})
 
 

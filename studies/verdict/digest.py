@@ -31,7 +31,6 @@ from .acceptance import (
     KnownLoads,
     States,
     criteria,
-    frame_time,
     known_loads,
     states_of,
     supports,
@@ -260,25 +259,16 @@ class Digest:
         """What the study accepts of a metric; NaN where it limits another."""
         return next((one.allowed for one in self.criteria if one.metric == metric), math.nan)
 
-    def limited(self, model: str, one: Criterion) -> tuple[Array, Array]:
-        """(C, S) what a criterion limits and (C,) the reference's own part in it; NaN where there is none."""
-        values = self.history(model, one.metric)
-        if not one.of_load:
-            times = [frame_time(case.models.get(model)) for case in self.cases]
-            values = np.broadcast_to(np.array(times)[:, None], values.shape)
-        return values, self.bars(one.metric)
-
     def states(self, model: str, one: Criterion) -> States:
         """(C, S) where a model stands against a criterion at each step.
 
         A reference that moves as a rigid body has no change of shape, and a model's error in that is NOT_ASKED.
         """
-        values, bars = self.limited(model, one)
-        answered = np.isfinite(self.history(model, VECTOR))
+        values, answered = self.history(model, one.metric), np.isfinite(self.history(model, VECTOR))
         if not one.of_load:
             times = np.array([time_state(case.models.get(model), one.allowed) for case in self.cases])
             return np.where(answered, times[:, None], LOST).astype(np.int8)
-        found = states_of(values, bars[:, None], one.allowed)
+        found = states_of(values, self.bars(one.metric)[:, None], one.allowed)
         if one.metric == DEFORMATION:
             found[~np.isfinite(values) & answered] = NOT_ASKED
         return found
@@ -297,9 +287,7 @@ class Digest:
         """Model that is compared -> (C,) its worst state and (C,) largest error over its limit, at full load."""
         found = {}
         for name in self.compared:
-            shares = [
-                self.at_full(self.limited(name, one)[0]) / one.allowed for one in self.criteria if one.of_load
-            ]
+            shares = [self.full_loads(name, c.metric) / c.allowed for c in self.criteria if c.of_load]
             share = np.where(np.isfinite(shares[0]), np.fmax.reduce(shares), math.inf)
             found[name] = self.at_full(self.worst_states(name)), share
         return found

@@ -249,8 +249,8 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
 
 def _limit(digest: Digest, model: str, one: Criterion) -> Limit:
     """One limit over all cases, with the numbers of the case that stands worst against it."""
-    values, bars = digest.limited(model, one)
-    values, states = digest.at_full(values), digest.at_full(digest.states(model, one))
+    values, bars = digest.full_loads(model, one.metric), digest.bars(one.metric)
+    states = digest.at_full(digest.states(model, one))
     asked = states[states != NOT_ASKED]
     deciding = next((state for state in _WORST if state in asked), None)
     sizes = np.where((states == deciding) & np.isfinite(values), values, -math.inf)
