@@ -179,34 +179,20 @@ def summary(run: Run) -> dict[str, Any]:
 
 
 def terminal_rows(digest: Digest) -> list[dict[str, str]]:
-    """The rows of a table that fits 80 columns: a line a model, and one each for the worst case and for notes."""
+    """The rows of a table that fits 80 columns: a line a model, and one for the worst of several cases."""
     rows: list[dict[str, str]] = []
-    metrics = {"displacement": VECTOR, "change of shape": DEFORMATION}
+    metrics = {"displacement": VECTOR, "change of shape": DEFORMATION} if digest.compared else {}
     for name, cost in digest.costs.items():
         spreads = {key: digest.spread(name, metric) for key, metric in metrics.items()}
         errors = {key: percent(spread.median) if spread else NOTHING for key, spread in spreads.items()}
         if name == digest.reference:
-            errors = {
-                key: f"± {percent(median_known(digest.bars(metric)))}" for key, metric in metrics.items()
-            }
+            errors = {key: f"± {percent(median_known(digest.bars(of)))}" for key, of in metrics.items()}
         times = {"set-up": quantity(cost.set_up, "s"), "per frame": quantity(cost.frame, "s")}
-        rows.append({"model": name, **(errors if digest.compared else {}), **times})
-        further = [{"model": f"  {note}"} for note in _terminal_notes(digest, name)]
-        if (vector := spreads["displacement"]) is not None and vector.cases > 1:
+        rows.append({"model": name, **errors, **times})
+        if any(spread and spread.cases > 1 for spread in spreads.values()):
             worst = {key: percent(spread.worst) if spread else NOTHING for key, spread in spreads.items()}
-            further.insert(0, {"model": "  worst case", **worst})
-        rows += [dict.fromkeys(rows[-1], "") | row for row in further]
+            rows.append({"model": "  worst case", **worst, **dict.fromkeys(times, "")})
     return rows
-
-
-def _terminal_notes(digest: Digest, name: str) -> list[str]:
-    notes = ["reference, own error"] if name == digest.reference else []
-    if math.isfinite(floor := digest.floor(name)):
-        normal = digest.median(name, NORMAL)
-        notes.append(f"along normals: {percent(normal)} off, floor of displacement {percent(floor)}")
-    stopped, marks = digest.stopped.get(name, 0), digest.costs[name].marks
-    notes += [f"no answer in {plural(stopped, 'case')}"] if stopped else []
-    return notes + ([f"times: {', '.join(marks)}"] if marks else [])
 
 
 def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:

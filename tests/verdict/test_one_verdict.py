@@ -65,6 +65,7 @@ def test_no_line_of_the_terminal_is_wider_than_it(capsys: pytest.CaptureFixture[
     text = printed(make_run(cases), capsys, as_json=False)
     assert max(map(len, text.splitlines())) <= WIDTH
     first = [line for line in text.splitlines() if line.strip() and not line.startswith(" ")]
+    assert first[0].split()[0] == "model", "a table, not a paragraph a model"
     assert [line.split()[0] for line in first[1:3]] == list(names)[:2]
     print_table([{"claim": "a claim", "reason": "word " * 30, "number": "10 %"}])
     wide = capsys.readouterr().out.splitlines()
