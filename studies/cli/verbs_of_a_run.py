@@ -304,7 +304,7 @@ def _mapping(foreign: Foreign) -> str:
     CASE,
 )
 def export_files(options: argparse.Namespace) -> int:
-    """Of a run directory: its tables (CSV, LaTeX), figures (SVG) and a mesh per case (VTU) with what models answer.
+    """Of a run directory: its tables (CSV), figures (SVG) and a mesh per case (VTU) with what models answer.
 
     Answers are those at full load. Lengths in a mesh are in metres, those of a body from a file in its own unit, so
     that the mesh lies on the scan. Of a study: one case at its largest load, as a mesh with regions (VTU, MSH),

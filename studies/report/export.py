@@ -1,4 +1,4 @@
-"""A run for other programs: tables and figures as CSV, LaTeX and SVG, surfaces with their answers as arrays."""
+"""A run for other programs: tables and figures as CSV and SVG, surfaces with their answers as arrays."""
 
 from __future__ import annotations
 
@@ -60,16 +60,11 @@ def unit_of(case: CaseResult) -> str:
     return f"the unit of {file} ({metres_per_unit(case):.6g} m)"
 
 
-# what the styler leaves to LaTeX and LaTeX does not know
-_LATEX = str.maketrans(
-    {"−": "$-$", "∞": r"$\infty$"}
-    | {digit: f"$^{{{plain}}}$" for digit, plain in zip("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789", strict=True)}
-)
 _LINE = 16  # units of the drawing, height of a line of the legend
 
 
 def exported(run: Run) -> Iterator[tuple[str, str]]:
-    """(name of a file, its text) of every table, as .csv and .tex, and every figure of a run's report."""
+    """(name of a file, its text) of every table and every figure of a run's report."""
     digest = Digest(run)
     if drawn := scene(digest):
         yield "figures/scene.svg", standalone_svg(str(drawn.svg))
@@ -83,7 +78,6 @@ def _of_section(section: Section) -> Iterator[tuple[str, str]]:
         if isinstance(block, Table):
             name = re.sub(r"[^A-Za-z0-9_-]+", "-", block.name)
             yield f"tables/{name}.csv", table_csv(block)
-            yield f"tables/{name}.tex", table_latex(block, block.caption or section.title)
         elif isinstance(block, Figures):
             for figure in block.figures:
                 number += 1
@@ -103,19 +97,6 @@ def table_csv(table: Table) -> str:
             ]
         )
     return out.getvalue()
-
-
-def table_latex(table: Table, caption: str) -> str:
-    """The table as the page shows it, for the package booktabs."""
-    from pandas import DataFrame
-
-    heads = [" ".join(filter(None, (column.title, column.detail))) for column in table.columns]
-    rows = [[_words(cell).replace("\n", " ") for cell in row] for row in table.rows]
-    shown = DataFrame(rows, columns=range(len(heads))).style.hide(axis="index").format(escape="latex")
-    shown = shown.format_index(lambda k: heads[k], escape="latex", axis="columns")
-    align = "".join("r" if column.unit else "l" for column in table.columns)
-    escaped = caption.translate({ord(c): f"\\{c}" for c in "&%$#_{}"})
-    return shown.to_latex(hrules=True, column_format=align, caption=escaped).translate(_LATEX)
 
 
 def _head(column: Field) -> str:
