@@ -1,12 +1,13 @@
-"""The pieces of a closed surface, and whether a place lies inside it."""
+"""The pieces of a closed surface, whether a place lies inside it, and where facets cut through each other."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from solver_common.arrays import Array, Index
+from solver_common.arrays import Array, Index, Mask
 
 _ROWS = 512  # of places, taken at once
+_ROUNDING = 1e-12  # of the longest edge cubed
 
 
 def closed_pieces(triangles: Index) -> Index:
@@ -40,3 +41,51 @@ def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
             below += ((one * other).sum(axis=1) - x @ (one + other).T + square) * length
         found[start : start + _ROWS] = np.arctan2(volumes - x @ faces.T, below).sum(axis=1) / (2.0 * np.pi)
     return found
+
+
+def crossings(points: Array, triangles: Index) -> Index:
+    """Pairs (P, 2) of facets that cut through each other.
+
+    Candidates are facets whose circumscribed balls about their centroids touch; a pair counts where an edge
+    of one passes through the other or its rim.
+    """
+    first, second = _candidates(points, triangles)
+    cut = np.zeros(len(first), dtype=bool)
+    for one, other in ((first, second), (second, first)):
+        a, b, c = np.moveaxis(points[triangles[other]], 1, 0)
+        for k in range(3):
+            ends = triangles[one][:, [k, k - 2]]
+            apart = ~(ends[:, :, None] == triangles[other][:, None, :]).any(axis=(1, 2))
+            cut |= apart & _segment_through_triangle(points[ends[:, 0]], points[ends[:, 1]], a, b, c)
+    return np.stack([first[cut], second[cut]], axis=1)
+
+
+def _candidates(points: Array, triangles: Index) -> tuple[Index, Index]:
+    from scipy.spatial import KDTree  # slow to load, and who only reads a mesh needs none
+
+    corners = points[triangles]
+    centroids = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
+    pairs = KDTree(centroids).query_pairs(2.0 * radii.max(), output_type="ndarray")
+    distance = np.linalg.norm(centroids[pairs[:, 0]] - centroids[pairs[:, 1]], axis=1)
+    pairs = pairs[distance <= radii[pairs].sum(axis=1)]
+    pairs = pairs[np.lexsort(pairs.T[::-1])].astype(np.int64)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _segment_through_triangle(p: Array, q: Array, a: Array, b: Array, c: Array) -> Mask:
+    """Whether each segment pq passes through triangle abc or its rim from one side to the other.
+
+    By signs of volumes; what is smaller than rounding counts as on the rim, and as not off the plane.
+    """
+    normal, direction = np.cross(b - a, c - a), q - p
+    rounding = _ROUNDING * float(max(np.abs(direction).max(initial=0.0), np.abs(c - a).max(initial=0.0))) ** 3
+    start = np.einsum("ij,ij->i", normal, p - a)
+    end = np.einsum("ij,ij->i", normal, q - a)
+    separated = (np.minimum(start, end) < -rounding) & (np.maximum(start, end) > rounding)
+    sides = np.stack(
+        [np.einsum("ij,ij->i", direction, np.cross(u - p, v - p)) for u, v in ((a, b), (b, c), (c, a))]
+    )
+    inside = (sides >= -rounding).all(axis=0) | (sides <= rounding).all(axis=0)
+    through: Mask = separated & inside
+    return through

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from solver_common.closed_surfaces import solid_angles
 from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.bending import bending_error
@@ -71,6 +72,37 @@ def test_a_cut_goes_through_a_cavity_or_leaves_it_whole(place: float) -> None:
     assert [body.shells.max() for body in bodies].count(1) == (place > 0.0)
     total = sum(body.volume for body in bodies)
     assert_allclose(total, SurfaceMesh(points, triangles).volume, rtol=1e-12, atol=0.0)
+
+
+def test_no_cap_cuts_through_a_cavity_smaller_than_its_facets() -> None:
+    """A wall at a place of a cap that is neither near its nodes nor in the middle of a facet."""
+    (x, outer), (y, inner) = icosphere(2), icosphere(0)
+    points = x * [1.6, 1.0, 0.9]
+    plain = cut(points, outer, 2)
+    facets = plain.parts[0][(plain.parts[0] >= len(x)).any(axis=1)]  # of its cap
+    for a, b, c in plain.points[facets[::17]]:
+        normal = np.cross(b - a, c - a)
+        middle = 0.5 * a + 0.35 * b + 0.15 * c - 0.029 * normal / np.linalg.norm(normal)
+        hollow = np.vstack([points, middle + 0.03 * y])
+        triangles = np.vstack([outer, inner[:, ::-1] + len(x)])
+        found = cut(hollow, triangles, 2)
+        of_cavity = (triangles.min(axis=1) >= len(x)).sum()
+        for part in found.parts:
+            is_wall = ((part >= len(x)) & (part < len(hollow))).all(axis=1)
+            if is_wall.sum() == of_cavity:  # a wall that is left whole lies within all else of its part
+                inside = solid_angles(hollow[len(x) :], found.points, part[~is_wall])
+                assert_allclose(inside, 1.0, rtol=0.0, atol=1e-6)
+
+
+def test_a_cap_narrower_than_its_edges_has_nodes_inside() -> None:
+    """Without one, nothing tells the volumes apart of the parts beside it."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    loops = [np.arange(12), 12 + np.arange(12)[::-1]]
+    new, facets = cap(np.vstack([ring, 0.6 * ring]), loops, np.array([0.0, 0.0, 1.0]))
+    assert len(new) > 0
+    assert (facets < 24 + len(new)).all()
+    assert len(np.unique(facets)) == 24 + len(new)
 
 
 def test_loops_that_no_cap_fills_are_refused() -> None:

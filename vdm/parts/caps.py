@@ -10,10 +10,13 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay, cKDTree
 
 from solver_common.arrays import Array, Index, Mask
+from solver_common.closed_surfaces import closed_pieces
 
 # nodes inside keep this share of the mesh size from the loop
 CLEAR = 0.6
 SMOOTHINGS = 4
+# mesh sizes of a cap over that of its loops: finer ones where one leaves a piece without a node inside
+FINER = np.array([1.0, 0.5, 0.25])
 
 
 class CutError(ValueError):
@@ -24,13 +27,14 @@ def cap(points: Array, loops: list[Index], normal: Array) -> tuple[Array, Index]
     """New nodes (k, 3), and facets (C, 3) that close loops of `points` (N, 3); a new node j has the number N + j.
 
     A facet's edge on a loop runs against the loop. Seen along `normal`, loops are paired by nesting: what lies
-    inside an odd number of them is filled. New nodes stand in a lattice of the loops' mean edge, and are lifted out
-    of the plane as a harmonic function of the loops' own heights.
+    inside an odd number of them is filled. New nodes stand in a lattice of the loops' mean edge, finer where a cap
+    is narrower, and are lifted out of the plane as a harmonic function of the loops' own heights.
 
     Raises
     ------
     CutError
-        loops that cross themselves or each other, seen along the normal, or that run both ways round.
+        loops that cross themselves or each other, seen along the normal, that run both ways round, or that leave no
+        room for a node between them.
     """
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     first /= np.linalg.norm(first)
@@ -41,6 +45,21 @@ def cap(points: Array, loops: list[Index], normal: Array) -> tuple[Array, Index]
     edges = np.stack([np.arange(len(nodes)), follower], axis=1)
     border = points[nodes] @ axes
     size = float(np.linalg.norm(border[edges[:, 1]] - border[edges[:, 0]], axis=1).mean())
+    for width in size * FINER:
+        inner, triangles = _filled(border, edges, width)
+        # each piece of a cap has a node inside: by that the volumes of the parts beside it are apart
+        if np.bincount(closed_pieces(triangles), (triangles >= len(border)).any(axis=1)).all():
+            break
+    else:
+        raise CutError("a cap of the cut has no room for a node")
+    heights = _harmonic(triangles, points[nodes] @ normal, len(border) + len(inner))
+    lifted = inner @ axes.T + heights[len(border) :, None] * normal
+    numbers = np.concatenate([nodes, len(points) + np.arange(len(inner))])
+    return lifted, numbers[triangles]
+
+
+def _filled(border: Array, edges: Index, size: float) -> tuple[Array, Index]:
+    """Nodes (k, 2) of this mesh size inside the loops of `border` (n, 2), and triangles (C, 3) of all n + k."""
     inner = _lattice(border, edges, size)
     for _ in range(SMOOTHINGS):
         if not len(inner):
@@ -56,10 +75,7 @@ def cap(points: Array, loops: list[Index], normal: Array) -> tuple[Array, Index]
     used = np.unique(triangles)
     if len(used) != len(flat):  # a node beside the loops' filled side
         raise CutError("loops of the cut cannot be paired")
-    heights = _harmonic(triangles, points[nodes] @ normal, len(flat))
-    lifted = inner @ axes.T + heights[len(border) :, None] * normal
-    numbers = np.concatenate([nodes, len(points) + np.arange(len(inner))])
-    return lifted, numbers[triangles]
+    return inner, triangles
 
 
 def _lattice(border: Array, edges: Index, size: float) -> Array:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
-from solver_common.closed_surfaces import closed_pieces, solid_angles
+from solver_common.closed_surfaces import closed_pieces, crossings, solid_angles
 from vdm.parts.caps import CutError, cap, nearest
 
 # places of the plane that are tried, as a share of the area beside the middle
@@ -133,14 +133,21 @@ def _check_inside(points: Array, triangles: Index, loops: list[Index], facets: I
     border = np.concatenate([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops])
     if (_keys(facets, n) - _keys(border, n)) & _keys(triangles, n):
         raise CutError("caps of the cut have an edge of the surface")
-    inner = np.unique(facets[facets >= n])
     centres = points[facets].mean(axis=1)
-    if not (solid_angles(np.vstack([points[inner], centres]), points, triangles) > 0.5).all():
+    one_of_each = np.unique(closed_pieces(facets), return_index=True)[1]
+    inside = solid_angles(centres[one_of_each], points, triangles) > 0.5
+    crossing = crossings(points, np.vstack([triangles, facets])) >= len(triangles)
+    if crossing.any() or not inside.all():
         raise CutError("caps of the cut cross the surface")
-    edge = np.linalg.norm(points[border[:, 0]] - points[border[:, 1]], axis=1)
-    others = points[np.unique(triangles)]
-    if len(inner) and (nearest(points[inner], others) < ROOM * np.median(edge)).any():
-        raise CutError("caps of the cut touch the surface")
+    inner = points[np.unique(facets[facets >= n])]
+    apart = ROOM * np.median(np.linalg.norm(points[border[:, 0]] - points[border[:, 1]], axis=1))
+    pieces = closed_pieces(triangles)
+    whole = ~np.isin(
+        pieces, pieces[np.isin(triangles, border).any(axis=1)]
+    )  # walls that the cut leaves whole
+    for nodes, places in ((triangles, inner), (triangles[whole], np.vstack([inner, centres]))):
+        if len(nodes) and (nearest(places, points[np.unique(nodes)]) < apart).any():
+            raise CutError("caps of the cut touch the surface")
 
 
 def _keys(rings: Index, n: int) -> set[int]:

@@ -49,7 +49,7 @@ class JoinedFormulation(BoundaryFormulation):
             own[np.ix_(there, there)] += part.form.swollen_block(here, here)
         shares = volumes / volumes.sum()
         self._apart = (columns - columns.sum(axis=2, keepdims=True) * shares)[:, :, :-1]
-        pressed = self._apart[n_surface:].reshape(len(own), -1)
+        pressed = self._apart[n_surface:].reshape(len(own), len(parts) - 1)
         self._caps = linalg.lu_factor(
             np.block([[own, -pressed], [pressed.T, np.zeros((pressed.shape[1],) * 2)]]), check_finite=False
         )

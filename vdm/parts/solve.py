@@ -118,14 +118,14 @@ class PartsSolver:
         """
         if self._given:
             return False
-        finer, scalars = self._finer or self._twice(self.body), solution.scalars
-        if finer is None:
-            return False
-        if all(status.ok for status in solution.status):
+        answered, scalars = all(status.ok for status in solution.status), solution.scalars
+        if answered:
             apart, mesh = (scalars.get(name, np.zeros(1)) for name in ("parts_error", "mesh_error"))
-            told = (apart > mesh) & (apart + mesh > LIMIT)
-            if not told.any() or self._twice(_parts(finer)) is None:
+            if not ((apart > mesh) & (apart + mesh > LIMIT)).any():
                 return False
+        finer = self._finer or self._twice(self.body)
+        if finer is None or (answered and self._twice(_parts(finer)) is None):
+            return False
         body = _parts(finer)
         body.wanted = self.body.wanted
         self._solver, self._least = finer, body.n_parts
