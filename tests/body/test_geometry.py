@@ -7,10 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import meshio
 import numpy as np
 import pytest
-import pyvista as pv
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.bodies import shaped
@@ -27,6 +25,8 @@ from vdmbench.body.topology import tetrahedron_sicn, tetrahedron_volumes
 from vdmbench.study import shapes
 from vdmbench.study.errors import MeshError
 from vdmbench.study.shapes import Box, Cylinder, Shape, geometry_key, liver_points
+
+from .test_mesh_files import write_surface
 
 pytestmark = pytest.mark.usefixtures("read_here")
 SPHERE = shaped("sphere", 0.012, {"radius": 0.05})
@@ -148,15 +148,9 @@ def test_the_organ_meshes_well_at_every_size(nodes: int) -> None:
 # --- imported surfaces --------------------------------------------------------------------------------
 
 
-def surface_file(path: Path, mesh: Mesh, unit: float = 1e-3, shift: float = 0.0) -> Path:
-    surface = pv.PolyData(
-        mesh.surface_points / unit + shift, faces=np.insert(mesh.triangles, 0, 3, axis=1).ravel()
-    )
-    if path.suffix == ".obj":
-        meshio.Mesh(surface.points, [("triangle", mesh.triangles)]).write(path)
-    else:
-        surface.save(path)
-    return path
+def surface_file(path: Path, mesh: Mesh, shift: float = 0.0) -> Path:
+    """In millimetres."""
+    return write_surface(path, mesh.surface_points * 1e3 + shift, mesh.triangles)
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".vtp"])
@@ -189,7 +183,7 @@ def test_a_surface_file_is_scaled_remeshed_and_filled_where_it_lies(tmp_path: Pa
 
 
 def test_size_and_scale_say_the_same(tmp_path: Path) -> None:
-    path = surface_file(tmp_path / "a.vtp", build_mesh(BOX), unit=1e-3)
+    path = surface_file(tmp_path / "a.vtp", build_mesh(BOX))
     by_scale = build_mesh(shaped("file", 0.01, {"path": str(path), "scale": 2e-3}), volume=False)
     by_size = build_mesh(shaped("file", 0.01, {"path": str(path), "size": 0.2}), volume=False)
     assert by_size.quality["scale"] == pytest.approx(2e-3, rel=1e-12)

@@ -8,11 +8,13 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from tests.vdm.vdm_shapes import box, icosphere, torus
+from vdm import SurfaceMesh
 from vdm.boundary import kernels, operators
 from vdm.boundary.far import far_row
 from vdm.boundary.kernels import _space, integrate_pair, rules
 from vdm.boundary.operators import Facets, assembled, layers, surface_stiffness
 from vdm.boundary.quadrature import three_points
+from vdm.surface import rigid_basis
 
 Array = NDArray[np.float64]
 RATIOS = (-0.5, 0.0, 0.3, 0.4999, 0.5)
@@ -26,16 +28,6 @@ def equations(facets: Facets, nu: float) -> tuple[Array, Array, Array]:
     """V (3F, 3F), J = M/2 + K (3F, 3N) and D (3N, 3N) of `V t = J u`, `f = D u + J^T t`."""
     parts = assembled(facets, nu)
     return parts.single, parts.jump, parts.hypersingular
-
-
-def rigid(points: Array) -> Array:
-    """(3N, 6) orthonormal rigid motions."""
-    motions = np.empty((len(points), 3, 6))
-    motions[:, :, :3] = np.eye(3)
-    for k in range(3):
-        motions[:, :, 3 + k] = np.cross(np.eye(3)[k], points)
-    basis: Array = np.linalg.qr(motions.reshape(-1, 6))[0]
-    return basis
 
 
 @pytest.mark.parametrize("shape", [icosphere(1), box(3, (1.0, 0.8, 0.05))], ids=["ball", "thin plate"])
@@ -136,7 +128,7 @@ def test_single_precision_is_not_seen_in_an_answer(
     """Without forces of their own for smooth displacements it leaves 1e-5, on slivers 1e-3."""
     points, triangles = torus(n=14, m=8)
     facets = Facets.of(points * [1.0, 1.0, flat], triangles)
-    motions = rigid(facets.points)
+    motions = rigid_basis(SurfaceMesh(facets.points, triangles))
     free = np.repeat(points[:, 0] > points[:, 0].min() + 0.02, 3)
     force = np.where(points[:, 0] > points[:, 0].max() - 0.02, 1.0, 0.0)[:, None] * [0.0, 0.0, 1.0]
     answers = []

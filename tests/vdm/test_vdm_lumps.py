@@ -135,10 +135,3 @@ def test_what_they_cannot_do_is_told() -> None:
                 fixed=BALL.points[:, 2] < 0.0,
                 solver=solver,
             )
-
-
-def test_pieces_that_are_no_cavities_are_refused() -> None:
-    x, t = icosphere(1)
-    for inner, facets in ((0.5 * x, t), (0.5 * x + 3.0, t[:, ::-1]), (0.5 * x + 3.0, t)):
-        with pytest.raises(ValueError, match="do not bound one body"):
-            SurfaceMesh(np.vstack([x, inner]), np.vstack([t, facets + len(x)]))

@@ -122,7 +122,21 @@ def _bad_surfaces():
     # two bodies that share one node
     joined = np.concatenate([points, (2.0 * points[0] - points)[1:]])
     mirrored = np.where(triangles == 0, 0, triangles + len(points) - 1)[:, ::-1]
-    return {
+    # pieces that are no cavities: not turned inside out, outside, and both
+    pieces = (
+        (0.5 * points, triangles),
+        (0.5 * points + 3.0, triangles[:, ::-1]),
+        (0.5 * points + 3.0, triangles),
+    )
+    no_body = {
+        f"piece {k}": (
+            np.vstack([points, x]),
+            np.vstack([triangles, t + len(points)]),
+            "do not bound one body",
+        )
+        for k, (x, t) in enumerate(pieces)
+    }
+    return no_body | {
         "open": (points, triangles[1:], "open"),
         "duplicate": (points, np.concatenate([triangles, triangles[:1]]), "not manifold"),
         "swapped": (points, swapped, "oriented against"),

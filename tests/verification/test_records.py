@@ -7,8 +7,6 @@ import pytest
 from tests.verification.records import RESULTS, Record, as_csv, document, from_csv
 
 pytest_plugins = ["pytester"]
-# `make verify` selects by this marker, and looks that every file that names the fixture ran, this one too
-pytestmark = pytest.mark.anchor("the records", "themselves")
 
 RECORDING = """
 import pytest
@@ -62,7 +60,7 @@ def test_tests_assert_on_their_records(pytester: pytest.Pytester) -> None:
             "*hands it a number*",
             "FAIL  a ball, mass: 0.3, expected 0 ± 0.2",
             "2 of 3 checks pass",
-            "results/verification.md is left as it was: *did not run",
+            "results/verification.md is left as it was: some of its tests were left out",
         ]
     )
 
