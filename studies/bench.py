@@ -23,7 +23,7 @@ from .scene.result import FrameTimes
 from .study.config import expand, resolved
 from .study.errors import StudyError
 from .study.kinds import MAX_NAME
-from .study.registry import REFINED
+from .study.registry import REFINED, model_names
 from .study.schema import Study, Sweep, Uncertainty
 from .verdict.formatting import NOTHING, number, percent, quantity
 
@@ -35,6 +35,11 @@ NOTE = (
     "linear elements on the refined mesh, ± that reference's own; ~ where this is more than a tenth. "
     "Times are medians over rounds, between their quartiles."
 )
+
+
+def models_to_measure() -> list[str]:
+    """Every model by its default solver, and by the nonlinear one where it has that."""
+    return [name for name in model_names() if ":" not in name or name.endswith(":nonlinear")]
 
 
 def study_to_run(

@@ -33,12 +33,11 @@ def run_benchmark(options: argparse.Namespace) -> int:
     Each is a run like any other, of the study NAME-bench in a directory of its own, with a report.
     """
     from .. import bench
-    from ..models import model_names
 
     plans = []  # all are sound before anything is run
     for name, surface in bodies_to_measure(options.study, options.surface):
         given = load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))
-        names = given.study.models if options.study else model_names(benched=True)
+        names = given.study.models if options.study else bench.models_to_measure()
         study = bench.study_to_run(given, names, watch=tell)
         directory = options.out / study.study.name if options.out else None
         plan = make_plan(study, options, directory=directory, command=command_of("bench", options))

@@ -43,7 +43,6 @@ LONG = 2e-2
 MOST = 0.5  # seconds that a model's own steps are repeated for; what is around them may take far longer than they
 FACTORS = np.array([0.5, 1.0])  # load factors of the steps that are measured
 MANY = 1000  # frames for which elements are set up: they keep factors instead of iterating
-MOST_CONDENSED = 150  # nodes up to which columns for the whole surface are worth their making
 
 Problem = LinearSolver | LinearProblem | CondensedProblem
 Frame = Callable[[Array], tuple[Array, float]]
@@ -74,12 +73,9 @@ def one_round(contact: Scene, name: str) -> tuple[float, float, float]:
     prepared = Prepared(contact, name, MANY)
     result = prepared.answer(contact.loads)
     touch, everything = _frame(contact, prepared, result), math.nan
-    everywhere = dataclasses.replace(contact, facet_pressure=pressure_everywhere(contact))
-    if name != "fem-condensed":
+    if not prepared.model.contact_in_setup:  # which would be set up anew
+        everywhere = dataclasses.replace(contact, facet_pressure=pressure_everywhere(contact))
         everything = _frame(everywhere, prepared, prepared.answer(everywhere.loads))
-    elif len(contact.fixed) <= MOST_CONDENSED:  # to another contact it is condensed anew
-        other = Prepared(everywhere, name, MANY)
-        everything = _frame(everywhere, other, other.answer(everywhere.loads))
     problem = prepared.set_up.problem if prepared.set_up is not None else None
     if problem is not None and result.status[0].ok and superposes(name) and _pressed_alone(contact):
         touch = min(touch, _by_columns(problem, contact))

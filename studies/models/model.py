@@ -91,7 +91,6 @@ def register(model: Model) -> None:
         raise RegistrationError(f"{model.name}: a model declares its version and its solvers")
     for what, keys, known in (
         ("superposes", model.superposes, model.solvers),
-        ("benched", model.benched, model.solvers[1:]),
         ("takes", model.takes, EXTRAS),
         ("takes", {solver for solvers in model.takes.values() for solver in solvers}, model.solvers),
         ("parameters", model.parameters, {**VdmTable.model_fields, **model.own}),

@@ -272,7 +272,6 @@ for _registered in (
     _surface(
         name="vdm-paper",
         family=Family.PRINTED,
-        benched=("quasi-linear", "nonlinear", "bicg"),
         version="5",
         # MINRES needs a symmetric matrix, which the printed form has not
         solvers=(*(name for name in SOLVERS if name != "minres"), INCREMENTAL, FIGURE_8),
@@ -286,7 +285,6 @@ for _registered in (
     _surface(
         name="vdm-consistent",
         family=Family.DERIVED,
-        benched=("nonlinear", "cg"),
         version="6",
         solvers=SOLVERS,
         takes={SPRINGS: SOLVERS},
@@ -297,7 +295,6 @@ for _registered in (
     _surface(
         name="vdm-vector",
         family=Family.DERIVED,
-        benched=("quasi-linear", "nonlinear"),
         version="9",
         solvers=SOLVERS,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
@@ -308,7 +305,6 @@ for _registered in (
     _surface(
         name="bem",
         family=Family.PEERS,
-        benched=("nonlinear",),
         takes={
             **dict.fromkeys((SPRINGS, FULL, DEAD, CAVITIES, FLUID), ("linear", "nonlinear")),
             INCLUSIONS: ("linear",),

@@ -142,7 +142,6 @@ class Declared:
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
     of_solvers : of these the ones that only some of its solvers read, and which
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
-    benched : the solvers that a benchmark measures beside the default
     """
 
     name: str
@@ -160,7 +159,6 @@ class Declared:
     takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     of_solvers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: Mapping[str, Parameter] = field(default_factory=dict)
-    benched: tuple[str, ...] = ()
     family: Family = Family.ENGINES
 
 
@@ -197,13 +195,12 @@ def all_models() -> dict[str, Declared]:
     return MODELS
 
 
-def model_names(*, benched: bool = False) -> list[str]:
-    """Every name that a study can write, with and without solver; of those the ones that a benchmark measures."""
+def model_names() -> list[str]:
+    """Every name that a study can write, with and without solver."""
     return [
         name
         for model in all_models().values()
-        for solvers in (model.benched if benched else model.solvers,)
-        for name in (model.name, *(f"{model.name}:{solver}" for solver in solvers))
+        for name in (model.name, *(f"{model.name}:{solver}" for solver in model.solvers))
     ]
 
 

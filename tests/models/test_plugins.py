@@ -46,7 +46,6 @@ def _plugin(change: Change) -> models.Model:
         "name": "theirs",
         "prepare": prepare,
         "solvers": ("linear",),
-        "benched": (),
         "takes": {},
         "of_solvers": {},
     }

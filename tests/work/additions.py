@@ -59,7 +59,7 @@ def assert_told(mistakes: dict[str, str]) -> None:
 
 def test_a_model_of_another_package() -> None:
     assert "gain" in json.loads(command("list", "--models", "--json"))["springs"]
-    assert model_names(benched=True).count("springs") == 1
+    assert model_names().count("springs") == 1
     gains = SPRINGS + '[sweep]\n"models.springs.gain" = [1.0, 2.0, 4.0]\n'
     plan = planned(gains)
     assert len(plan["cases"]) == 3

@@ -27,7 +27,7 @@ def ends(
     monkeypatch.setattr(explain, "machine_memory", lambda: 25e9)
 
     def end(verb: str, memory: Any) -> tuple[int, str]:
-        model = dataclasses.replace(models.find("vdm-vector")[0], name="theirs", benched=(), memory=memory)
+        model = dataclasses.replace(models.find("vdm-vector")[0], name="theirs", memory=memory)
         monkeypatch.setitem(MODELS, "theirs", model)
         with pytest.raises(SystemExit) as ended:
             main([verb, str(path)])
