@@ -175,12 +175,10 @@ def body(plan: Plan, run: Run) -> Body:
 
 @dataclass(frozen=True)
 class Errors:
-    """Relative L2 errors over a set of loads: mean and worst; bars: the reference's own error, its largest."""
+    """Means of relative L2 errors over a set of loads; bars: the reference's own error, its largest."""
 
     vector: float
-    vector_worst: float
     deformation: float
-    deformation_worst: float
     bar: float
     bar_deformation: float
 
@@ -249,9 +247,7 @@ class Trial:
             shapes.append(relative_l2(u, r, surface.areas))
         return Errors(
             float(np.mean(vectors)),
-            max(vectors),
             float(np.mean(shapes)),
-            max(shapes),
             max(sample.bars[VECTOR] for sample in self.samples),
             max(sample.bars[DEFORMATION] for sample in self.samples),
         )

@@ -14,20 +14,11 @@ from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface, deformations, enclosed_volumes, weighted_norm
 from ..scene.inclusions import place_inclusions
 from ..scene.regions import select
-from ..scene.result import REFUSED, ModelResult
+from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
-from ..study.errors import InputError
 from ..study.schema import Study
 from .metrics import METRICS, History, evaluate, full_load_step
 from .uncertainty import estimate_error, estimate_limit
-
-
-class FailedReferenceError(ValueError):
-    """A reference that did not converge, so that there is nothing to compare with: message and remedy."""
-
-    def __init__(self, message: str, remedy: str = "") -> None:
-        super().__init__(message)
-        self.remedy = remedy
 
 
 def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Array) -> dict[str, float]:
@@ -128,19 +119,6 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
         for part in place_inclusions(study, coarsest)
     }
     return build_scene(study, hierarchy.finest, masks, inside)
-
-
-def require_converged(name: str, result: ModelResult) -> None:
-    """Raise FailedReferenceError, or InputError where the scene is at fault, of a result that is no reference."""
-    for status in result.status:
-        if status.code == REFUSED:
-            raise InputError(f"{name}: {status.message}" + (f"; {status.remedy}" if status.remedy else ""))
-        if not status.ok:
-            raise FailedReferenceError(f"{name}: {status.message}", status.remedy)
-    if not np.isfinite(result.displacement).all():
-        raise FailedReferenceError(
-            f"{name} gave a displacement that is not finite", "check the scene's supports and loads"
-        )
 
 
 def restricted(result: ModelResult, hierarchy: Hierarchy) -> ModelResult:
