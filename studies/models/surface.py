@@ -266,6 +266,7 @@ _surface = partial(
 SPRINGS, FULL, DEAD, INCLUSIONS = "normal springs", "full springs", "dead forces", "inclusions"
 CAVITIES, FLUID = "cavities", "fluid in cavities"
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
+DIRECT = ("linear", "lu")  # which alone solve a penalty, (25) and (26)
 _OF_SOLVERS = ("tolerance", "stop", "volume_row")
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", *_OF_SOLVERS)
 for _registered in (
@@ -278,7 +279,7 @@ for _registered in (
         # the nonlinear solver's areas, and with them its springs, grow with the deformation
         takes={SPRINGS: tuple(name for name in SOLVERS if name not in ("minres", "nonlinear"))},
         parameters=("bulk_modulus", "connectivity_modulus", "penalty", "tolerance", "stop", "volume_row"),
-        of_solvers={"stop": (FIGURE_8,), "volume_row": ("quasi-linear", FIGURE_8)},
+        of_solvers={"penalty": DIRECT, "stop": (FIGURE_8,), "volume_row": ("quasi-linear", FIGURE_8)},
         by_rule=("bulk_modulus", "connectivity_modulus"),
         fibres=True,
     ),
@@ -289,6 +290,7 @@ for _registered in (
         solvers=SOLVERS,
         takes={SPRINGS: SOLVERS},
         parameters=("foundation", "surface_tension", "penalty", "tolerance"),
+        of_solvers={"penalty": DIRECT},
         by_rule=("foundation", "surface_tension"),
         fibres=True,
     ),
@@ -299,6 +301,7 @@ for _registered in (
         solvers=SOLVERS,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
+        of_solvers={"penalty": DIRECT},
         by_rule=("surface_tension",),
         fibres=True,
     ),
@@ -314,7 +317,7 @@ for _registered in (
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
-        of_solvers={"parts": ("nonlinear",)},
+        of_solvers={"parts": ("nonlinear",), "penalty": ("linear",)},
         most_nodes=2000,
         by_rule=("shear_modulus",),
         fibres=False,
@@ -338,6 +341,7 @@ for _registered in (
         version="7",
         solvers=SOLVERS,
         parameters=("shear_modulus", "penalty"),
+        of_solvers={"penalty": DIRECT},
         by_rule=("shear_modulus",),
         most_nodes=5000,
         fibres=False,

@@ -100,7 +100,7 @@ def _check_reference(study: Study) -> Iterator[Finding]:
 
 
 def _check_read(study: Study) -> Iterator[Finding]:
-    """Parameters that decide nothing, and held nodes by penalty, (25) and (26), which only `lu` solves."""
+    """Parameters that decide nothing."""
     names = study.study.models
     tables: list[tuple[Loc, Table, Sequence[str]]] = [(("vdm",), study.vdm, names)]
     tables += [(("models", name), table, [name]) for name, table in study.models.items() if name in names]
@@ -109,13 +109,6 @@ def _check_read(study: Study) -> Iterator[Finding]:
         for key in sorted(table.model_fields_set - known):
             who = f"{loc[1]} does not read it" if len(loc) > 1 else "no model of this study reads it"
             yield (*loc, key), f"{who}; leave it out. Read here: {listed(known) if known else 'none'}"
-        others = {
-            name for name in readers if "penalty" in reads(name) and split(name)[1] not in ("linear", "lu")
-        }
-        if others and "penalty" in table.model_fields_set:
-            instead = f"[models.{split(min(others))[0]}]"
-            text = f"is solved by lu alone, not by {listed(others)}; give it in {instead} or leave it out"
-            yield (*loc, "penalty"), text
 
 
 # --- tissue and body ---

@@ -111,15 +111,11 @@ def test_parameters_come_from_the_study_the_model_or_the_rule() -> None:
 
 
 @pytest.mark.parametrize("solver", ["linear", "lu", "cg"])
-def test_a_penalty_is_solved_by_lu_and_refused_by_other_solvers(scene: Scene, solver: str) -> None:
+def test_a_penalty_is_solved_by_lu_and_read_by_no_other_solver(scene: Scene, solver: str) -> None:
     penalised = dataclasses.replace(scene, parameters={"penalty": 1e3})
     result = models.run_model(penalised, f"vdm-vector:{solver}")
-    if solver in ("linear", "lu"):
-        assert result.parameters["solver"] == "lu"
-        assert np.abs(result.displacement[:, scene.fixed]).max() > 0, "a penalty lets held nodes move"
-    else:
-        assert {status.code for status in result.status} == {models.REFUSED}
-        assert 'a penalty needs solver "lu"' in result.status[0].message
+    most = np.abs(result.displacement[:, scene.fixed]).max()
+    assert (most > 0) == (solver in ("linear", "lu")), "a penalty lets held nodes move"
 
 
 VALUES = {
