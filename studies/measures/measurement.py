@@ -345,13 +345,11 @@ def _step(factor: float | None, factors: Array) -> int:
     return next(k for k, step in enumerate(factors) if same_load(factor, float(step), largest))
 
 
-def step_rms(found: Measurement, name: str, n_steps: int) -> tuple[Array, Array]:
-    """(S,) root mean square of E over the points' components of each step, and of D; NaN of a step without [m]."""
-    errors, sizes = np.full(n_steps, np.nan), np.full(n_steps, np.nan)
+def step_rms(found: Measurement, name: str, n_steps: int) -> Array:
+    """(S,) root mean square of E over the points' components of each step [m]; NaN of a step without."""
+    errors = np.full(n_steps, np.nan)
     steps: Index = np.array([q.step if q.component in AXES else -1 for q in found.quantities])
     for step in range(n_steps):
-        mine = steps == step
-        if mine.any():
+        if (mine := steps == step).any():
             errors[step] = np.sqrt((found.error(name)[mine] ** 2).mean())
-            sizes[step] = np.sqrt((found.values[mine] ** 2).mean())
-    return errors, sizes
+    return errors

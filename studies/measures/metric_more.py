@@ -1,52 +1,25 @@
-"""Metrics of an answer itself: how rigid, how much in the surface, how far off by inputs and from a measurement."""
+"""Metrics of an answer itself: how far it is from a measurement, how rigid, how much of it is in the surface."""
 
 from __future__ import annotations
-
-from functools import partial
 
 import numpy as np
 
 from solver_common.arrays import Array
 
 from ..body.surface_measures import Surface, ratio, rigid_parts, weighted_norms
-from .metrics import History, along, full_load_step, metric
-
-_of_inputs = partial(metric, "1", degree=None, needs_reference=False, needs_inputs=True, sense="descriptive")
-_of_measurement = partial(metric, degree=None, needs_reference=False, needs_measurement=True)
+from .metrics import History, along, metric
 
 
-def _at_full_load(model: History, value: float) -> Array:
-    out = np.full(len(model.load_factors), np.nan)
-    out[full_load_step(model.load_factors)] = value
-    return out
-
-
-@_of_inputs(
-    "area-weighted norm of the standard deviation of the displacement that comes of not knowing the inputs, over "
-    "that of the displacement"
+@metric(
+    "m",
+    "root mean square of S - D over the measured components of the step",
+    degree=None,
+    needs_reference=False,
+    needs_measurement=True,
 )
-def input_uncertainty(surface: Surface, model: History) -> Array:  # noqa: ARG001
-    assert model.inputs is not None
-    return _at_full_load(model, model.inputs[0])
-
-
-@_of_inputs("as the input uncertainty, the best-fit rigid motion removed")
-def input_uncertainty_deformation(surface: Surface, model: History) -> Array:  # noqa: ARG001
-    assert model.inputs is not None
-    return _at_full_load(model, model.inputs[1])
-
-
-@_of_measurement("m", "root mean square of S - D over the measured components of the step")
 def measurement_error(surface: Surface, model: History) -> Array:  # noqa: ARG001
     assert model.measurement is not None
-    return model.measurement[0]
-
-
-@_of_measurement("1", "the same over the root mean square of D")
-def measurement_error_relative(surface: Surface, model: History) -> Array:  # noqa: ARG001
-    assert model.measurement is not None
-    errors, sizes = model.measurement
-    return np.asarray(ratio(errors, sizes))
+    return model.measurement
 
 
 @metric(

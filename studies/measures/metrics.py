@@ -42,8 +42,7 @@ class History:
     # at full load: (N,) from the nodes to the reference's surface, and the largest either way; see `evaluate`
     distances: tuple[Array, float] | None = None
     volume: Array | None = None  # (S,) enclosed volumes [m^3], where they are known
-    measurement: tuple[Array, Array] | None = None  # (S,) rms of E and of D, see `measurement.step_rms`
-    inputs: tuple[float, float] | None = None  # at full load, see `input_spread.ModelSpread`
+    measurement: Array | None = None  # (S,) rms of E, see `measurement.step_rms`
 
     @cached_property
     def largest(self) -> Array:
@@ -70,7 +69,6 @@ class Metric:
     needs_reference: bool = True
     needs_contact: bool = False
     needs_measurement: bool = False
-    needs_inputs: bool = False
 
 
 METRICS: dict[str, Metric] = {}
@@ -360,11 +358,9 @@ def evaluate(surface: Surface, model: History, reference: History | None) -> dic
         model = replace(model, distances=_distances(surface, model, reference))
     out = {}
     for one in METRICS.values():
-        if (
-            (one.needs_contact and not surface.contact.any())
-            or (one.needs_measurement and model.measurement is None)
-            or (one.needs_inputs and model.inputs is None)
-        ):
+        if one.needs_contact and not surface.contact.any():
+            continue
+        if one.needs_measurement and model.measurement is None:
             continue
         if not one.needs_reference:
             out[one.name] = one.function(surface, model)

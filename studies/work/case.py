@@ -16,7 +16,7 @@ from ..body.mesh import Mesh
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface
 from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
-from ..measures.measurement import InputSpread, Measurement, hold_against, input_spread, step_rms
+from ..measures.measurement import Measurement, hold_against, input_spread, step_rms
 from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
 from ..measures.pushed import Answer
 from ..measures.reference import own_error
@@ -92,7 +92,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
     if measurement is not None:
         of_asked = [replace(one, step=int(asked[one.step])) for one in measurement.quantities]
         measurement = replace(measurement, quantities=of_asked)
-    metrics = compare(surface, results, factors, reference, measurement, spread)
+    metrics = compare(surface, results, factors, reference, measurement)
     file_hash = payload["file_hash"]
     write_case(
         Path(payload["path"]),
@@ -172,7 +172,6 @@ def compare(
     load_factors: Array,
     reference: str | None,
     measurement: Measurement | None = None,
-    spread: InputSpread | None = None,
 ) -> dict[str, dict[str, MetricSeries]]:
     """Every metric of every model; the reference itself gets those that need no comparison."""
     histories = {
@@ -182,7 +181,6 @@ def compare(
             load_factors,
             volume=result.volume,
             measurement=step_rms(measurement, name, len(load_factors)) if measurement else None,
-            inputs=(spread.models[name].displacement, spread.models[name].deformation) if spread else None,
         )
         for name, result in results.items()
     }

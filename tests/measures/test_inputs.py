@@ -93,9 +93,6 @@ def test_sensitivities_by_hand(tmp_path: Path, cache: Path) -> None:
     assert_allclose(found.models["fem-linear"].parts, expected, rtol=1e-5)
     assert_allclose(found.models["vdm-vector"].parts, expected * [1, 0, 1], rtol=1e-9)
     assert_allclose(found.models["fem-linear"].displacement, np.linalg.norm(expected), rtol=1e-5)
-    for name, spread in found.models.items():
-        (value,) = case.metrics[name]["input_uncertainty"].values
-        assert value == spread.displacement
     # of the three the modulus bends: the mean of 1/0.9 and 1/1.1 is 1.0101
     assert_allclose(found.models["vdm-vector"].bend, 0.010101 / np.linalg.norm(expected[[0, 2]]), rtol=1e-4)
 
