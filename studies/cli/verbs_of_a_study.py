@@ -7,7 +7,7 @@ import os
 import re
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..study.errors import InputError, plural
 from ..study.files import shipped_studies
@@ -24,10 +24,12 @@ from .arguments import (
     study_argument,
     verb,
 )
-from .output import OK, USAGE, answer, folded, print_json, print_run
+from .output import OK, USAGE, answer, folded, print_json, print_run, print_table
 from .studies import check_files, load, make_plan, numbered_case, require_own, run_missing
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from ..measures.case import CaseResult
     from ..work.plan import Plan, PlannedCase
 
@@ -238,11 +240,25 @@ def plan_study(options: argparse.Namespace) -> int:
     states = Counter(case["state"] for case in planned["cases"])
     print(f"in {plan.directory}: {', '.join(f'{number} {state}' for state, number in states.items())}")
     meshes = plural(planned["meshes_to_make"], "mesh", "meshes")
-    print(f"to run: {plural(planned['cases_to_run'], 'case')}, {meshes}")
-    for kind in ("needed", "skipped", "refused"):
-        for line in planned[kind]:
-            print(folded(f"{'will be refused' if kind == 'refused' else kind}: {line}"))
+    limits = f", small-strain limits of {plural(planned['limits'], 'case')}" if planned["limits"] else ""
+    print(f"to run: {plural(planned['cases_to_run'], 'case')}, {meshes}{limits}")
+    print_table(_work_rows(planned["work"]))
+    for line in planned["refused"]:
+        print(folded(f"will be refused: {line}"))
     return OK
+
+
+def _work_rows(work: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
+    """What the cache has not, from which all load steps are made: a line for each model and mesh level."""
+    set_ups, solves = Counter[str](), Counter[str]()
+    for one in work:
+        refined = f", refined {plural(one['level'], 'time')}" if one["level"] else ""
+        set_ups[one["model"] + refined] += 1
+        solves[one["model"] + refined] += one["solves"]
+    return [
+        {"still to solve": name, "set-ups": f"{count}", "solves": f"{solves[name]}"}
+        for name, count in set_ups.items()
+    ]
 
 
 @verb(

@@ -37,6 +37,7 @@ def run_benchmark(options: argparse.Namespace) -> int:
     plans = []  # all are sound before anything is run
     for name, surface in bodies_to_measure(options.study, options.surface):
         given = load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))
+        make_plan(given, options)  # a mesh that cannot be made is told with the line of the study
         names = given.study.models if options.study else bench.models_to_measure()
         study = bench.study_to_run(given, names, watch=tell)
         directory = options.out / study.study.name if options.out else None

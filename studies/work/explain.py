@@ -11,12 +11,11 @@ from ..body.mesh_cache import mesh_path, read_mesh
 from ..machine import machine_memory
 from ..scene.regions import body_extent, lies_outside
 from ..study.config import holds_nothing
-from ..study.errors import Finding, MeshError, plural
+from ..study.errors import Finding, MeshError
 from ..study.files import told_directory, without_folders
 from ..study.registry import DISPLACEMENT_ELEMENTS, REFINED, lacks, split
 from ..study.schema import extras_for
 from ..study.shapes import fewer_nodes
-from .cache import answer_path
 from .plan import Expected, Plan, PlannedCase, PlannedMesh
 from .tasks import Body, bodies
 
@@ -65,8 +64,7 @@ def summary(plan: Plan) -> dict[str, Any]:
             }
             for body in work
         ],
-        "needed": _needed(todo, work),
-        "skipped": _skipped(plan, todo),
+        "limits": sum(case.limits is not None for case in todo),
         "refused": refused(plan, todo, work),
     }
 
@@ -74,42 +72,6 @@ def summary(plan: Plan) -> dict[str, Any]:
 def surfaces(plan: Plan) -> dict[str, str]:
     """SHA-256 -> name of the files that the bodies are from; their folders are the user's own affair."""
     return {mesh.file_hash: mesh.geometry.path.name for mesh in plan.meshes.values() if mesh.file_hash}
-
-
-def _needed(todo: Sequence[PlannedCase], work: Sequence[Body]) -> list[str]:
-    """Set-ups and solves of each model on each level, from which all load steps are made."""
-    lines = []
-    if todo:
-        meshes = {case.mesh for case in todo}
-        lines.append(f"{plural(len(meshes), 'mesh', 'meshes')} for {plural(len(todo), 'case')}")
-    for name, level in dict.fromkeys((body.name, body.level) for body in work):
-        own = [body for body in work if (body.name, body.level) == (name, level)]
-        solves = sum(len(asked.factors) for body in own for asked in body.asked)
-        where = f", refined {plural(level, 'time')} for its error bar" if level else ""
-        lines.append(f"{name}{where}: {plural(len(own), 'set-up')} and {plural(solves, 'solve')}")
-    if varied := max((len(case.variations) for case in todo), default=0):
-        lines.append(f"{plural(varied, 'variation')} of each case for what is not known of its inputs")
-    if searched := sum(case.limits is not None for case in todo):
-        lines.append(f"small-strain limits of {plural(searched, 'case')}")
-    return lines
-
-
-def _skipped(plan: Plan, todo: Sequence[PlannedCase]) -> list[str]:
-    """What is not done, and why."""
-    lines = []
-    if len(plan.cases) > len(plan.state):
-        lines.append(f"{len(plan.cases) - len(plan.state)} cases that repeat another one of the sweep")
-    if done := sum(map(plan.is_done, plan.in_order)):
-        lines.append(f"{plural(done, 'case')}: already in the run directory")
-    cached = len(plan.meshes) - len(plan.missing_meshes(plan.cases))
-    if cached:
-        lines.append(f"{plural(cached, 'mesh', 'meshes')}: already in the cache")
-    for name in plan.study.study.models:
-        wants = [want for case in todo for part in case.parts for want in part.wanted if want.name == name]
-        there = sum(all(plan.has(answer_path(plan.cache, key)) for key in want.answers) for want in wants)
-        if there:
-            lines.append(f"{name}: {there} of {plural(len(wants), 'result')} from answers in the cache")
-    return lines
 
 
 # --- what has no chance ---
