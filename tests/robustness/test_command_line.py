@@ -116,7 +116,7 @@ def test_a_surface_has_a_directory_of_its_own_and_its_report_says_how_to_get_it_
         assert result.returncode == 0, result.stderr
         page = (tmp_path / place / "report.html").read_text()
         assert f"vdmbench run small.toml --surface ball.obj{extra}\nvdmbench report {place}<" in page
-        assert "<dd>ball.obj</dd>" in page
+        assert "geometry file: ball.obj\n" in page
         assert str(tmp_path) not in page
     plan = vdmbench("plan", *command.split()[2:], "--json", cwd=tmp_path)
     assert json.loads(plan.stdout)["cases_to_run"] == 0, "the same command finds its results"
