@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import re
 import tomllib
@@ -10,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError, entry_name
+from .errors import InputError, entry_name, unknown
 
 SHIPPED = Path(__file__).parents[1] / "cases"
 
@@ -31,18 +30,10 @@ def study_path(study: str | Path) -> Path:
     path, known = Path(study), shipped_studies()
     if path.exists():
         return path
-    if (found := known.get(str(study))) is not None:
-        return found
-    beside = {file.stem: str(file) for file in path.parent.glob("*.toml")}
-    names = [
-        found[name]
-        for found in (beside, {name: name for name in known})
-        for name in difflib.get_close_matches(path.stem[:80], found, n=2, cutoff=0.7)
-    ]
-    if not names and path.suffix == ".toml":
-        return path  # whoever reads it says that it is not there
-    hint = f"did you mean {' or '.join(names)}?" if names else f"shipped are: {', '.join(known)}"
-    raise InputError(f"no study file {str(study)!r} and no shipped study of that name; {hint}")
+    if str(study) in known:
+        return known[str(study)]
+    beside = sorted(map(str, path.parent.glob("*.toml")))
+    raise InputError(unknown(str(study), [*beside, *known], "study"))
 
 
 # --- A study's text with some of its values replaced ---

@@ -82,7 +82,7 @@ def test_what_cannot_be_changed_is_told(tmp_path: Path) -> None:
         vdmbench.run(study, constraints={"thumb": {"force": "1 N"}})
     with pytest.raises(ValueError, match=r"small.toml:15: tissue.poisson_ratio: must be above -1"):
         vdmbench.run(study, tissue={"poisson_ratio": 2.0})
-    with pytest.raises(ValueError, match="did you mean quickstart"):
+    with pytest.raises(ValueError, match='did you mean "quickstart"'):
         vdmbench.run("quikstart")
     changed = merged({"a": 1, "t": {"b": 2, "c": 3}}, {"t": {"b": None, "d": [1]}, "a": 5})
     assert changed == {"a": 5, "t": {"c": 3, "d": [1]}}

@@ -20,15 +20,14 @@ def test_a_name_that_is_nearly_right_is_told(tmp_path: Path, monkeypatch: pytest
     assert study_path("quickstart") == shipped_studies()["quickstart"]
     assert study_path("small.toml") == Path("small.toml")
     for wrong, told in [
-        ("quikstart", r"did you mean quickstart\?"),
-        ("smal.toml", r"did you mean small\.toml\?"),
-        ("small", r"did you mean small\.toml\?"),
-        ("zzz", "shipped are: accuracy-box, "),
-        ("../cases/quickstart", r"did you mean quickstart\?"),
+        ("quikstart", 'did you mean "quickstart"'),
+        ("smal.toml", 'did you mean "small.toml"'),
+        ("small", 'did you mean "small.toml"'),
+        ("zzz", "known: small.toml, accuracy-box, "),
+        ("../cases/quickstart", 'did you mean "quickstart"'),
     ]:
         with pytest.raises(InputError, match=told):
             study_path(wrong)
-    assert study_path("zzz.toml") == Path("zzz.toml"), "its reader says that it is not there"
 
 
 def test_the_cache_is_where_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
