@@ -1,4 +1,4 @@
-"""The finite-strain problem: tangent, invariance, exact homogeneous states, balance, load histories, failure."""
+"""The finite-strain problem: tangent, invariance, exact homogeneous states, balance, load histories, failures."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from scipy.sparse import bsr_array
 
 from fem_reference import tangent_solver
 from fem_reference.assembly import coupling_pattern, scalar_pattern
-from fem_reference.finite_strain import OUTPUTS
+from fem_reference.finite_strain import OUTPUTS, FiniteStrainProblem
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
-from fem_reference.loads import nodal_forces
+from fem_reference.load_path import LoadPath
+from fem_reference.loads import Load, nodal_forces
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import Solution
+from fem_reference.surface_stretch import BIOT, most_compressed
 from solver_common.progress import Progress, reported
-from tests.fem.shapes import Body, ball, cube
+from tests.fem.shapes import Array, Body, assert_same, ball, cube, mapped_box
 from tests.verification.records import Verified
-
-Array = np.ndarray
 
 EVERYTHING = frozenset(OUTPUTS)
 TILT = (0.3, -0.2, 1.0)
@@ -393,3 +393,107 @@ def test_auto_turns_to_multigrid_when_the_analysis_finds_too_much_fill(
         _converged(p.solve([top])).displacement for p in (problem, b.finite(b.bottom, solver="direct"))
     )
     assert_allclose(found, expected, rtol=0, atol=1e-7 * np.abs(expected).max())
+
+
+ASKED = frozenset({"max_principal_strain", "volume"})
+SHARES = (0.01, 0.5, 1.0, 0.25, 0.75, 0.6, 0.75)
+
+
+@pytest.fixture(scope="module")
+def cell() -> Body:
+    return cube(1)
+
+
+def _at_rest(b: Body) -> FiniteStrainProblem:
+    """One that has solved nothing yet."""
+    return b.finite(b.bottom, poisson_ratio=0.45)
+
+
+def _pulled(b: Body, pressure: float) -> Load:
+    return b.load(-pressure * b.top)
+
+
+def _assert_same_outputs(one: Solution, other: Solution) -> None:
+    assert other.status[0].ok
+    assert_same(one, other, 1e-8)
+    for name in ASKED:
+        assert_allclose(one.scalars[name], other.scalars[name], rtol=1e-8, atol=0)
+
+
+def test_each_load_gives_what_it_gives_from_rest_and_is_nearer(cell: Body) -> None:
+    problem, path = _at_rest(cell), LoadPath()
+    loads = [_pulled(cell, 0.4 * share) for share in SHARES]
+    short = [problem.solve([load], ASKED, path) for load in loads]
+    long = [_at_rest(cell).solve([load], ASKED) for load in loads]
+    for one, other in zip(short, long, strict=True):
+        _assert_same_outputs(one, other)
+    steps = np.array(
+        [[one.iterations[0], other.iterations[0]] for one, other in zip(short, long, strict=True)]
+    )
+    assert steps[3:, 0].sum() < steps[3:, 1].sum(), "between loads that are known"
+    assert steps[-1, 0] == 0, "a load that is known"
+
+
+def test_the_end_of_the_way_is_looked_for_once(cell: Body) -> None:
+    """Too small a load is no end."""
+    problem, path = _at_rest(cell), LoadPath()
+    assert problem.solve([_pulled(cell, 1e-17)], ASKED, path).status[0].code == "too-small"
+    stopped = problem.solve([_pulled(cell, 20.0)], ASKED, path)
+    assert stopped.status[0].code in {"not-converged", "inverted"}
+    end = 20.0 * stopped.scalars["load_factor"][0]
+    again = problem.solve([_pulled(cell, 1.5 * end)], ASKED, path)
+    assert again.status[0].code == stopped.status[0].code
+    assert again.iterations[0] == 0
+    assert_allclose(again.displacement, stopped.displacement, rtol=1e-14, atol=0)
+    below = _pulled(cell, 0.4 * end)  # nearer to the end the path branches
+    _assert_same_outputs(problem.solve([below], ASKED, path), _at_rest(cell).solve([below], ASKED))
+
+
+HEAVY = {"poisson_ratio": 0.4999, "density": 1.0}
+
+
+def test_a_rim_that_creases_is_named_and_ends_the_way_soon() -> None:
+    body = mapped_box((2, 2, 2), lambda x: x)
+    # what solvers remember moves the end of the way: each begins anew
+    problem, other = (body.finite(body.bottom, **HEAVY) for _ in range(2))
+    load = body.load(1.0 * body.top)
+    attempts = [attempt for _, attempt in problem.substeps([load])]
+    last = [attempt for attempt in attempts if attempt.converged][-1]
+    worst = most_compressed(problem.mesh, last.state.displacement * problem.mesh.mean_edge)
+    assert worst.plane < BIOT
+    assert attempts[-1].load_factor - last.load_factor >= 2.0**-5, "no shorter steps beyond Biot's stretch"
+    solution = other.solve([load])
+    (status,) = solution.status
+    x, y, z = 1e3 * worst.place
+    assert f"at ({x:.1f}, {y:.1f}, {z:.1f}) mm is compressed to {worst.least:.3f}" in status.message
+    assert "creasing" in status.message
+    assert "`elastic`" in status.remedy
+    assert solution.scalars["load_factor"][0] == last.load_factor, "the state up to there is kept"
+
+
+@pytest.mark.parametrize(("sides", "at_the_rim"), [((2, 2, 2), False), ((4, 2, 2), True)])
+def test_what_creases_at_the_rim_of_what_is_held_is_said_to_be_there(
+    sides: tuple[int, int, int], at_the_rim: bool
+) -> None:
+    body = mapped_box(sides, lambda x: x)
+    problem = body.finite(body.bottom, **HEAVY)
+    (status,) = problem.solve([body.load(gravity=(0.0, 0.0, -4.0))]).status
+    assert "creasing" in status.message
+    assert ("at the rim of what is held" in status.message) == at_the_rim
+
+
+def test_a_limit_point_is_named() -> None:
+    """A shallow arch under its weight, just before it snaps through."""
+
+    def arch(x: Array) -> Array:
+        return np.c_[x[:, 0], 0.2 * x[:, 1], 0.8 * x[:, 0] * (1.0 - x[:, 0]) + 0.05 * (x[:, 2] - 0.5)]
+
+    body = mapped_box((10, 2, 1), arch)
+    x = body.surface[:, 0]
+    problem = body.finite((x < 1e-9) | (x > 1.0 - 1e-9), **HEAVY)
+    (status,) = problem.solve([body.load(gravity=(0.0, 0.0, -0.1))]).status
+    assert not status.ok
+    assert "a limit point" in status.message
+    assert "displacement in place of the load" in status.remedy
+    small = [a for _, a in problem.substeps([body.load(gravity=(0.0, 0.0, -1e-4))])][-1]
+    assert_allclose(problem.softest(small), 1.0, rtol=0.05, atol=0)

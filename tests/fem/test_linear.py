@@ -1,14 +1,19 @@
-"""The linear problem's interface: outputs, balance, superposition, refusals."""
+"""The linear problem: outputs, balance, superposition, fibres, and its assembly against scikit-fem's own forms."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.sparse import bsr_array, csr_array
+from skfem import BilinearForm, LinearForm
+from skfem.helpers import ddot, div, sym_grad
 
+from fem_reference import assembly
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import make_moduli
 from fem_reference.outputs import OUTPUTS, strain_outputs
+from solver_common.arrays import Array
 from tests.fem.shapes import Body, ball, cube
 from tests.verification.records import Verified
 
@@ -209,3 +214,64 @@ def test_moduli_that_vary_have_means_by_volume() -> None:
     assert_allclose(found.poisson_ratio, share @ nu, rtol=1e-12, atol=0)
     unit = found.youngs_modulus / (2.0 * (1.0 + found.poisson_ratio))
     assert_allclose(found.stiffness, young / (2.0 * (1.0 + nu)) / unit, rtol=1e-12, atol=0)
+
+
+def _tension(b: Body, contrast: float, axis: int, **options: object) -> tuple[np.ndarray, float]:
+    """Strain along x, y, z and mean pressure per unit tension along `axis`, fibres along x, on rollers."""
+    problem = b.problem(b.surface < 1e-12, fibre_direction=(3.0, 0.0, 0.0), contrast=contrast, **options)
+    end = b.facets_where(lambda x: x[:, axis] > 1.0 - 1e-12)
+    solution = problem.solve([b.load(-1.0 * end)])
+    assert solution.status[0].ok
+    far = np.argmax(b.surface.sum(axis=1))
+    return solution.displacement[0, far], solution.fluid_pressure[0]
+
+
+@pytest.mark.parametrize("solver", ["direct", "iterative"])
+@pytest.mark.parametrize("contrast", [1.0, 20.0])
+@pytest.mark.parametrize(("element", "nu"), [("P2-P1", 0.5), ("P2-P1", 0.3), ("P2", 0.3), ("P1", 0.3)])
+def test_tension_along_and_across_is_exact(
+    block: Body, solver: str, contrast: float, element: str, nu: float
+) -> None:
+    """Young's modulus along the fibres is c E; across, by inverting Hooke's law with the fibres' term."""
+    shear, fibre = 0.5 / (1.0 + nu), contrast - 1.0
+    compliance = (1.0 + nu) * np.eye(3) - nu * np.ones((3, 3))  # of the isotropic part, E = 1
+    # Sherman-Morrison of the compliance for stress += fibre e_x along x; finite at nu = 1/2 too
+    first = compliance[:, 0]
+    compliance = compliance - fibre * np.outer(first, first) / (1.0 + fibre * first[0])
+    assert_allclose(1.0 / compliance[0, 0], contrast, rtol=1e-14, atol=0)
+    if nu == 0.5:
+        m = 1.0 + fibre / (2.0 * shear)
+        assert_allclose(1.0 / compliance[2, 2], 2.0 * shear * (1.0 + 2.0 * m) / (1.0 + m), rtol=1e-12, atol=0)
+    for axis in range(3):
+        strain, pressure = _tension(block, contrast, axis, element=element, poisson_ratio=nu, solver=solver)
+        assert_allclose(strain, compliance[:, axis], rtol=0, atol=2e-7)
+        assert_allclose(pressure, -1.0 / 3.0, rtol=0, atol=2e-7)
+
+
+def _whole(blocks: Array, pattern: assembly.Pattern) -> csr_array:
+    rows, columns = blocks.shape[1] * (len(pattern.indptr) - 1), blocks.shape[2] * pattern.columns
+    return csr_array(bsr_array((blocks, pattern.indices, pattern.indptr), shape=(rows, columns)))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("divergence", [0.0, 12.5])
+def test_operators_equal_scikit_fem(order: int, divergence: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(assembly, "_CHUNK", 100)  # several passes on a small mesh
+    b = cube(3, distort=0.3)
+    mesh = TetMesh(*b.arrays, order=order)
+    vector, scalar = mesh.bases(intorder=2)
+    stiffness = BilinearForm(
+        lambda u, v, _: 2.0 * ddot(sym_grad(u), sym_grad(v)) + divergence * div(u) * div(v)
+    ).assemble(vector)
+    coupling = BilinearForm(lambda u, q, _: q * div(u)).assemble(vector, scalar)
+    mass = BilinearForm(lambda p, q, _: p * q).assemble(scalar)
+    weights = LinearForm(lambda v, _: v[0]).assemble(vector)[::3]
+    nodes = assembly.scalar_pattern(mesh)
+    pressures = assembly.coupling_pattern(mesh, nodes)
+    for ours, theirs in (
+        (_whole(assembly.elasticity_blocks(mesh, nodes, divergence), nodes), stiffness),
+        (_whole(assembly.divergence_blocks(mesh, pressures), pressures), coupling),
+        (assembly.mass_matrix(mesh), mass),
+    ):
+        assert abs(ours - csr_array(theirs)).max() <= 1e-14 * abs(theirs).max()
+    assert_allclose(assembly.gravity_weights(mesh), weights, rtol=0, atol=1e-14 * np.abs(weights).max())

@@ -211,15 +211,6 @@ def bent_line(offset: float) -> tuple[Array, Array]:
     return points, np.isin(np.arange(len(POINTS)), [first, second, third])
 
 
-@pytest.mark.parametrize("solver", ["linear", "cg"])
-def test_a_border_that_rounding_leaves_nothing_of_is_refused(solver: str) -> None:
-    """By the solvers that have it, sooner than by the supports alone."""
-    model, refused = (made(bent_line(e)[0], "vector", bent_line(e)[1], solver) for e in (1e-3, 1e-5))
-    assert isinstance(model, Model), model
-    assert isinstance(refused, str)
-    assert "not positive definite; hold an area" in refused
-
-
 @pytest.mark.parametrize("solver", ["linear", "single", "refined", "lu", "bicg", "bicg-cold", "cg", "minres"])
 @pytest.mark.filterwarnings("ignore:overflow|invalid value|divide by zero")
 def test_three_held_nodes_nearly_on_one_line(solver: str) -> None:

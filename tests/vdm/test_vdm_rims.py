@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from solver_common.arrays import Mask
 from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
-from vdm.boundary import operators
 from vdm.boundary.rims import Rims
 from vdm.constraints import Support
 from vdm.formulations.base import rigid_motions
@@ -78,23 +77,6 @@ def test_the_fluid_keeps_the_volume_between_the_nodes_that_there_were() -> None:
     # a uniform pressure does no work on the nodes of the rim
     uniform = form.carried(form.resolved.area_vectors)
     assert_allclose(uniform, BODY.area_vectors, rtol=0.0, atol=1e-12 * BODY.area)
-
-
-def test_single_precision_is_not_seen_where_nodes_are_eliminated() -> None:
-    nu = 0.5
-    force = np.random.default_rng(1).standard_normal(Rims.of(BODY, BASE).surface.points.shape)
-    rigid, free = rigid_motions(BODY, np.ones_like(BASE)).reshape(-1, 6), np.repeat(~BASE, 3)
-    answers = []
-    for dtype in (np.float64, np.float32):
-        rims = Rims.of(BODY, BASE)
-        facets = operators.Facets.of(rims.surface.points, rims.surface.triangles)
-        matrix = operators.surface_stiffness(facets, nu, dtype, rims)
-        carried = rims.carried(force)
-        assert_allclose(matrix @ rigid, 0.0, rtol=0.0, atol=1e-13 * np.abs(matrix).max())
-        assert_allclose(carried.sum(axis=0), force.sum(axis=0), rtol=0.0, atol=1e-12)
-        answers.append(np.linalg.solve(matrix[np.ix_(free, free)], carried.reshape(-1)[free]))
-    exact, found = answers
-    assert 0.0 < np.linalg.norm(found - exact) < 2e-6 * np.linalg.norm(exact)
 
 
 def on_a_patch(n: int) -> tuple[SurfaceMesh, Mask, Load]:
