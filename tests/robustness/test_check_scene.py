@@ -1,16 +1,20 @@
-"""What `vdmbench check` tells of a scene before anything is solved, and the picture that `show` makes of it."""
+"""Before anything is solved: `new`, `check`, `show`, how a study is found, whose directory a run may take."""
 
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
 from matplotlib.image import imread
 
-from tests.command import do, write_study
+from tests.command import do, vdmbench, write_study
 from vdmbench.cli.arguments import parse
-from vdmbench.study.errors import Problem
+from vdmbench.cli.studies import make_plan
+from vdmbench.study.config import expand, load_study
+from vdmbench.study.errors import InputError, Problem
+from vdmbench.study.files import shipped_studies, study_path
 
 BASE, FINGER = 'below = { axis = "z", fraction = 0.2 }', 'cap = { direction = [0, 0, 1], angle = "30 deg" }'
 THIN = 'shape = "box"\nsize = ["100 mm", "100 mm", "20 mm"]'
@@ -89,3 +93,117 @@ def test_a_scene_is_drawn_before_anything_is_solved(capsys: pytest.CaptureFixtur
     assert not Path("results").exists(), "nothing is solved, nothing is kept"
     with pytest.raises(ValueError, match="--case 2: the study has 1 cases"):
         do(parse(["show", "small.toml", "--case", "2"]))
+
+
+def test_what_it_writes_is_sound_and_told_line_by_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert do(parse(["new", "palpation"])) == 0
+    study = load_study(Path("palpation.toml"))
+    assert study.study.name == "palpation"
+    assert len(expand(study)) == 2
+    assert do(parse(["check", "palpation.toml"])) == 0
+    assert capsys.readouterr().out.endswith("palpation.toml: ok, 2 cases\n"), "without a doubt"
+    text = Path("palpation.toml").read_text()
+    assert "vdmbench run palpation.toml" in text
+    assert text.count("#") > 15
+    # the commented lines for a scan are sound too
+    Path("liver.stl").write_text("")
+    scan = text.replace('shape = "sphere"', "").replace('radius = "50 mm"', "")
+    for key in ("shape", "path", "scale"):
+        assert f"# {key} = " in scan
+        scan = scan.replace(f"# {key} = ", f"{key} = ")
+    Path("scan.toml").write_text(scan)
+    assert load_study(Path("scan.toml")).geometry.scale == 0.001
+
+
+@pytest.mark.parametrize("name", shipped_studies())
+def test_every_shipped_study_can_be_copied(name: str) -> None:
+    assert do(parse(["new", "folder/mine.toml", "--from", name])) == 0
+    source, mine = (
+        tomllib.loads(path.read_text()) for path in (shipped_studies()[name], Path("folder/mine.toml"))
+    )
+    assert mine["study"].pop("name") == "mine"
+    assert source["study"].pop("name") == name
+    assert mine == source
+
+
+def test_files_that_a_study_names_come_along() -> None:
+    Path("from").mkdir()
+    Path("from/liver.stl").write_text("solid")
+    text = '[study]\nmodels = ["vdm-paper"]\nname = \'old\'\n[geometry]\nshape = "file"\npath = "liver.stl"\n'
+    Path("from/old.toml").write_text(text)
+    assert do(parse(["new", "to/new", "--from", "from/old.toml"])) == 0
+    assert Path("to/new.toml").read_text() == text.replace("'old'", '"new"')
+    assert Path("to/liver.stl").read_text() == "solid"
+    Path("from/old.toml").write_text(text.replace("liver.stl", "../secret"))
+    with pytest.raises(ValueError, match=r"names '\.\./secret', which is no file beside it"):
+        do(parse(["new", "other", "--from", "from/old.toml"]))
+
+
+def test_nothing_is_overwritten() -> None:
+    Path("mine.toml").write_text("precious")
+    with pytest.raises(ValueError, match=r"mine.toml: is there already, and is not overwritten"):
+        do(parse(["new", "mine"]))
+    assert Path("mine.toml").read_text() == "precious"
+    with pytest.raises(ValueError, match="letters, digits"):
+        do(parse(["new", "my study"]))
+
+
+def test_a_name_that_is_nearly_right_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_study(tmp_path)
+    assert study_path("quickstart") == shipped_studies()["quickstart"]
+    assert study_path("small.toml") == Path("small.toml")
+    for wrong, told in [
+        ("quikstart", 'did you mean "quickstart"'),
+        ("smal.toml", 'did you mean "small.toml"'),
+        ("small", 'did you mean "small.toml"'),
+        ("zzz", "known: small.toml, accuracy-box, "),
+        ("../cases/quickstart", 'did you mean "quickstart"'),
+    ]:
+        with pytest.raises(InputError, match=told):
+            study_path(wrong)
+
+
+def test_the_cache_is_where_it_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = str(write_study(tmp_path))
+    study = load_study(Path(path))
+    monkeypatch.delenv("VDMBENCH_RESULTS", raising=False)
+    monkeypatch.delenv("VDMBENCH_CACHE", raising=False)
+    assert make_plan(study, parse(["plan", path])).cache == Path("results/cache")
+    monkeypatch.setenv("VDMBENCH_RESULTS", "elsewhere")
+    assert make_plan(study, parse(["plan", path])).cache == Path("elsewhere/cache")
+    monkeypatch.setenv("VDMBENCH_CACHE", "shared")
+    assert make_plan(study, parse(["plan", path])).cache == Path("shared")
+    assert make_plan(study, parse(["plan", path, "--cache", "mine"])).cache == Path("mine")
+
+
+def _content(directory: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in directory.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("verb", "name"),
+    [
+        *(("run", name) for name in ("report.html", "plan.json", "cases/notes")),
+        *((verb, "study.toml") for verb in ("plan", "calibrate")),
+    ],
+)
+def test_a_directory_of_others_is_left_as_it_is(tmp_path: Path, verb: str, name: str) -> None:
+    write_study(tmp_path)
+    (tmp_path / "mine" / name).parent.mkdir(parents=True)
+    (tmp_path / "mine" / name).write_text('{"resource": 1}')
+    (tmp_path / "mine" / "thesis.tex").write_text("x")
+    before = _content(tmp_path)
+    result = vdmbench(verb, "small.toml", "--out", "mine", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "mine: is not empty and not a" in result.stderr
+    assert _content(tmp_path) == before
+
+
+@pytest.mark.parametrize("verb", ["plan", "run", "calibrate", "bench"])
+def test_no_directory_is_not_the_working_directory(tmp_path: Path, verb: str) -> None:
+    write_study(tmp_path)
+    result = vdmbench(verb, "small.toml", "--out", "", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "--out: name a place" in result.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["small.toml"]
