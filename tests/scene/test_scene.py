@@ -106,6 +106,10 @@ def test_groups_come_from_the_mesh(sphere: Mesh) -> None:
         sphere.points, sphere.tetrahedra, sphere.surface_nodes, sphere.triangles, {"ligament": mask}
     )
     assert (nodes(marked, {"group": "ligament"}) == mask).all()
+    third = float(sphere.surface_points[2, 0])
+    both = nodes(marked, {"group": "ligament", "above": {"axis": "x", "value": third}})
+    assert (both == mask & (sphere.surface_points[:, 0] >= third)).all()
+    assert both.sum() < 5
     with pytest.raises(MeshError, match="no group 'hook'; it has: ligament"):
         nodes(marked, {"group": "hook"})
 
