@@ -14,11 +14,11 @@ from ..verdict.digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, Spread, 
 from ..verdict.formatting import (
     NOTHING,
     capital,
-    exact_percent,
     measure,
     percent,
     plural,
     quantity,
+    short_percent,
 )
 from ..verdict.verdict import Limit, Verdicts, verdicts
 from ..verdict.words import TITLES, said, told, why_not
@@ -42,7 +42,7 @@ def what_to_take(verdicts: Verdicts) -> Table | None:
             found = getattr(row[2], name, math.nan) if row[2] is not None else math.nan
             if not math.isfinite(found) or (unit == "1" and row[2] is not None and row[2].same):
                 return Cell("")
-            return Cell(exact_percent(found) if unit == "1" else quantity(found, unit, digits), value=found)
+            return Cell(short_percent(found) if unit == "1" else quantity(found, unit, digits), value=found)
 
         return of
 

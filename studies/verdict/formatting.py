@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 from ..study.errors import plural as plural
 
@@ -60,18 +60,15 @@ def percent(ratio: float, *, signed: bool = False) -> str:
 
 
 def short_percent(ratio: float) -> str:
-    """A ratio as a percentage, for a sentence."""
-    return f"{plain(ratio * 100.0, 2 if abs(ratio) < 1.0 else 3)} %"
+    """A ratio as a percentage, as it is read against a limit: 11.6 %, where 12 % would mislead."""
+    if 0.01 <= abs(ratio) < 1.0:
+        return f"{plain(round(100.0 * ratio, 1))} %"
+    return f"{plain(100.0 * ratio, 2 if abs(ratio) < 1.0 else 3)} %"
 
 
-def exact_percent(ratio: float) -> str:
-    """A ratio as it is read against a limit: 11.6 %, where 12 % would mislead."""
-    return f"{round(100.0 * ratio, 1):g} %" if 0.01 <= ratio < 1.0 else short_percent(ratio)
-
-
-def with_bar(value: float, bar: float, shown: Callable[[float], str] = exact_percent) -> str:
+def with_bar(value: float, bar: float) -> str:
     """`39.7 % ± 2 %`, without the bar where that is not known."""
-    return f"{shown(value)} ± {short_percent(bar)}" if math.isfinite(bar) else shown(value)
+    return f"{short_percent(value)} ± {short_percent(bar)}" if math.isfinite(bar) else short_percent(value)
 
 
 def scale_of(unit: str, values: Iterable[float], digits: int = 3) -> tuple[float, str]:
@@ -102,7 +99,7 @@ def of_unit(value: float, unit: str) -> str:
 
 def measure(value: float, unit: str) -> str:
     """A number as it is read against a limit."""
-    return exact_percent(value) if unit == "1" else quantity(value, unit)
+    return short_percent(value) if unit == "1" else quantity(value, unit)
 
 
 def load_in_words(load: float, unit: str) -> str:

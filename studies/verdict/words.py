@@ -111,7 +111,6 @@ def _templates(file: Path) -> Any:
     )
     environment.filters |= {
         "known": lambda value: value is not None and math.isfinite(value),
-        "exact": f.exact_percent,
         "short": f.short_percent,
         "amount": f.quantity,
         "measure": f.measure,

@@ -42,7 +42,7 @@ def test_percent_is_the_ratio_times_a_hundred() -> None:
     assert percent(-0.00062, signed=True) == "−0.062 %"
     assert percent(1.1e-14) == "1.1×10⁻¹² %"
     assert percent(math.nan) == "–"
-    assert short_percent(0.2134) == "21 %"
+    assert short_percent(0.2134) == "21.3 %"
     assert short_percent(0.1) == "10 %"
     assert short_percent(1.234) == "123 %"
 
