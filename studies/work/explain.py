@@ -29,14 +29,7 @@ def summary(plan: Plan) -> dict[str, Any]:
     work = bodies(plan, todo)
     study = plan.study.study
     return {
-        "study": {
-            "name": study.name,
-            "title": study.title,
-            "models": list(study.models),
-            "reference": study.reference,
-            "sweep": plan.study.sweep.mode,
-            "acceptance": plan.study.acceptance.model_dump(exclude_none=True),
-        },
+        "study": {"name": study.name, "title": study.title},
         "command": list(plan.command),
         "directory": told_directory(plan.directory, plan.command),
         "surfaces": surfaces(plan),
