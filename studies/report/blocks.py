@@ -176,11 +176,11 @@ class Still:
 
 @dataclass(frozen=True)
 class Viewer:
-    """The 3-D viewer's data, as JSON, and its pictures where it cannot be."""
+    """The 3-D viewer's data, as JSON, and its picture where it cannot be."""
 
     template: ClassVar[str] = "viewer"
     payload: Mapping[str, object] | None
-    pictures: Sequence[Still]
+    picture: Still | None
     note: Text
 
 

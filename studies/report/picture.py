@@ -1,4 +1,4 @@
-"""Pictures without OpenGL: lit triangles as pixels by matplotlib's rasteriser, and stills of the key cases."""
+"""Pictures without OpenGL: lit triangles as pixels by matplotlib's rasteriser, and stills of a case."""
 
 from __future__ import annotations
 

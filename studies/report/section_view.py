@@ -27,12 +27,13 @@ _U16, _I16 = 65535, 32767
 
 
 def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
-    """The viewer with its still pictures, from the fullest to the leanest, the last without it; [] of no case."""
+    """The viewer and a still picture of the first key case, from the fullest to the leanest; [] of no case."""
     if not digest.cases or digest.focus is None:
         yield []
         return
-    drawn = [(digest.title(*key), *still(digest, key[1])) for key in digest.key_cases] if stills else []
-    shown = [Still(title, _url(labelled(panels)), words) for title, panels, words in drawn if panels]
+    first = digest.key_cases[0]
+    panels, words = still(digest, first[1]) if stills else ([], "")
+    shown = Still(digest.title(*first), _url(labelled(panels)), words) if panels else None
     cases, models = [case for _, case in digest.key_cases], digest.models
     roles = [role for role, _ in digest.key_cases]
     intro = note("surface", roles, len(digest.cases), digest.focus, bool(digest.compared))

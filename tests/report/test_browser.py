@@ -136,9 +136,9 @@ def test_opens_without_complaint_and_fits(browser: Browser, page: Path, width: i
 def test_print_shows_the_still_pictures_and_every_row(browser: Browser, page: Path) -> None:
     browser.open(page, 1000)
     assert visible(browser, ".viewer")
-    assert not visible(browser, ".stills")
+    assert not visible(browser, ".still")
     browser.send("Emulation.setEmulatedMedia", media="print")
-    assert visible(browser, ".stills")
+    assert visible(browser, ".still")
     assert not visible(browser, ".viewer")
     assert not visible(browser, ".tools")
     marks = "document.querySelectorAll('.legend .swatch :is(use, path)')"
@@ -163,7 +163,7 @@ def test_without_webgl_or_scripts_there_are_pictures_and_a_reason(
         browser.open(page, 1000, scripts=False)
     assert browser.complaints() == []
     assert not visible(browser, ".viewer")
-    assert visible(browser, ".stills img")
+    assert visible(browser, ".still img")
     assert visible(browser, ".no-viewer")
 
 
@@ -290,7 +290,7 @@ def test_a_lost_graphics_context_comes_back_or_leaves_the_pictures(browser: Brow
         "new Promise(done => requestAnimationFrame(() => done(document.querySelector('.viewer').hidden)))"
     )
     assert browser.evaluate(stage_hidden), "its patience has an end"
-    assert visible(browser, ".stills img")
+    assert visible(browser, ".still img")
 
 
 def test_a_picture_of_the_views_is_saved_with_what_they_show(browser: Browser, page: Path) -> None:
