@@ -141,7 +141,7 @@ def checked_load(load: Load, support: Support) -> Load:
     if prescribed is not None and prescribed.any() and not support.constrained.any():
         raise ConstraintError("the load moves nodes and none is constrained; name them in constrained")
     dead = _checked(load.dead_force, "dead_force", (n, 3))
-    return Load(pressure, force, prescribed, dead)
+    return Load(pressure, force, prescribed, dead, load.weight)
 
 
 def _checked(value: ArrayLike | None, name: str, shape: tuple[int, ...]) -> Array | None:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from solver_common.arrays import Array, Index
-from vdm.surface import SurfaceMesh
+from vdm.surface import SurfaceMesh, cross
 
 
 class DeformableSurface:
@@ -119,12 +119,12 @@ def follow(force: Array, rest_vectors: Array, state: DeformedSurface) -> Array:
     size = np.linalg.norm(vectors, axis=1)[:, None]
     turn = state.rotation if state.rotation.ndim == 2 else state.rotation[loaded]
     f = (force[loaded, None] @ turn)[:, 0]
-    before = (rest_vectors[:, None] / rest_size[:, None] @ turn)[:, 0]
+    before = ((rest_vectors / rest_size)[:, None] @ turn)[:, 0]
     after = vectors / size
-    axis = np.cross(before, after)
+    axis = cross(before, after)
     cosine = np.einsum("ic,ic->i", before, after)[:, None]
-    once = np.cross(axis, f)
+    once = cross(axis, f)
     # at a half turn no least rotation exists; such a node has long left the range of the model
-    least = f + once + np.cross(axis, once) / np.maximum(1.0 + cosine, 1e-12)
+    least = f + once + cross(axis, once) / np.maximum(1.0 + cosine, 1e-12)
     turned[loaded] = least * (size / rest_size)
     return turned

@@ -38,11 +38,11 @@ from vdm.formulations.base import Factor
 from vdm.parts.cut import Cut, cut
 from vdm.parts.joined import JoinedFormulation
 from vdm.parts.part import Nothing, Part, condensed, dofs
-from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, moments, turned_back
+from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, moments, spans, turned_back
 from vdm.problem import Problem
 from vdm.solution import Status
 from vdm.solvers.linear import BorderedFactor
-from vdm.solvers.nonlinear import Balance
+from vdm.solvers.nonlinear import NEAR, Balance
 from vdm.surface import SurfaceMesh
 
 # rotation within a part [rad] that small strain in its frame bears: half of its square is the strain that it feigns
@@ -197,7 +197,7 @@ class Parts:
         facets = np.array([len(part.walls) for part in self.parts], np.int64)
         self._part = np.repeat(np.arange(self.n_parts), sizes)
         self._first, self._first_facet = np.cumsum(sizes) - sizes, np.cumsum(facets) - facets
-        self._spans = [slice(start, start + size) for start, size in zip(self._first, sizes, strict=True)]
+        self._spans = spans(self._first, len(self._nodes))
         every = np.arange(len(self._nodes))
         ones = np.ones(len(every))
         self._sum = sparse.csr_array(sparse.coo_array((ones, (self._nodes, every)), shape=(n, len(every))))
@@ -220,7 +220,8 @@ class Parts:
         problem, n_surface = self.problem, self.problem.formulation.surface.n_nodes
         m, state = self.n_parts, self._joint.at(x[self._nodes])
         turns = best_rotation(moments(self._joint.levers, state.positions, self._first))
-        away = np.einsum("nj,nij->ni", state.positions, turns[self._part]) - self._joint.rest
+        placed = [state.positions[span] @ q.T for span, q in zip(self._spans, turns, strict=True)]
+        away = np.concatenate(placed) - self._joint.rest
         forces = np.concatenate([part.form.swollen_force(away[span]) for part, span in self._each()])
         internal = np.asarray(self._sum @ turned_back(forces, turns, state, self._first))
         held, filled = self._cavities(state)
@@ -294,15 +295,32 @@ class Parts:
         push = np.asarray(np.linalg.solve(slope.system, target - slope.border.T @ first), np.float64)
         moved = self._moved(slope.turns, first[:, None], [own[:, None] for own in inside])[:, 0]
         change = (moved + slope.answers @ push).reshape(-1, 3)
-        # a slope that is kept has the gradients of its own state's volumes: they are closed by those of this one
-        at_parts, missed = change[self._nodes], np.zeros_like(target)
-        flux = np.add.reduceat(np.einsum("nc,nc->n", acting.state.area_vectors, at_parts), self._first)
-        missed[kept] = -gap * self.volumes - np.append(flux, np.einsum("nck,nc->k", acting.filled, at_parts))
-        push = push + np.linalg.solve(slope.system, missed)
-        change = (moved + slope.answers @ push).reshape(-1, 3)
+        closing, more = self._closing(balance, change, gap)
+        change = change + closing
         # the pressure of the weight rises where a part goes down as one
         sunk = [part.areas @ change[part.nodes] @ acting.rise for part in self.parts]
-        return change[self.free], push[kept] - np.append(sunk, np.zeros(self._n_filled))
+        return change[self.free], push[kept] + more - np.append(sunk, np.zeros(self._n_filled))
+
+    def closing(self, balance: Balance, change: Array) -> tuple[Array, Array]:
+        """As in `Large`."""
+        moved = np.zeros_like(balance.x)
+        moved[self.free] = change
+        closing, push = self._closing(balance, moved, balance.gap)
+        return closing[self.free], push
+
+    def _closing(self, balance: Balance, change: Array, gap: Array) -> tuple[Array, Array]:
+        """What more (n, 3) and which pressures close gaps by the gradients of the state's own volumes.
+
+        A slope that is kept, and a mixture, close those of other states.
+        """
+        slope, acting = self._slope, balance.parts
+        assert slope is not None
+        at_parts, missed = change[self._nodes], np.zeros(len(slope.system))
+        flux = np.add.reduceat(np.einsum("nc,nc->n", acting.state.area_vectors, at_parts), self._first)
+        kept = self._rows_of_volumes
+        missed[kept] = -gap * self.volumes - np.append(flux, np.einsum("nck,nc->k", acting.filled, at_parts))
+        push = np.linalg.solve(slope.system, missed)
+        return (slope.answers @ push).reshape(-1, 3), np.asarray(push[kept])
 
     def _moved(self, turns: Array, together: Array, inside: list[Array]) -> Array:
         """(3n, r) by r motions of nodes that are shared (3 n_C, r) and what moves each part's own (3 n_I, r)."""
@@ -317,20 +335,24 @@ class Parts:
         return change.reshape(-1, r)
 
     def _slope_for(self, balance: Balance, lacking: Array, gap: Array) -> _Slope:
-        """The slope of a state, or the last one where parts have hardly turned and `MOST_LEFT` holds.
+        """The slope of a state, or the last one where that serves.
 
-        What another load lacked tells nothing of the slope, nor do volumes alone.
+        Far from balance: where parts have hardly turned and `MOST_LEFT` holds. Near it corrections are mixed, what
+        the slope misses is learnt, and it serves while they gain at all. What another load lacked tells nothing of
+        the slope, nor do volumes alone.
         """
         turns = balance.parts.turns
         lacks = max(
             float(np.linalg.norm(lacking[self.free])) / (balance.scale or 1.0), float(np.abs(gap).max())
         )
-        gains = balance.parts.load is not self._load or lacks <= MOST_LEFT * self._lacked
+        is_far = lacks >= NEAR
+        gains = balance.parts.load is not self._load or lacks <= (MOST_LEFT if is_far else 1.0) * self._lacked
         if lacking.any():
             self._lacked, self._load = lacks, balance.parts.load
-        if self._slope is None or not gains or np.abs(turns - self._slope.turns).max() > SAME_TURN:
-            self._slope = self._slope_at(balance, self._joined_at(turns))
-        return self._slope
+        slope = self._slope if gains else None
+        if slope is None or (is_far and np.abs(turns - slope.turns).max() > SAME_TURN):
+            slope = self._slope = self._slope_at(balance, self._joined_at(turns))
+        return slope
 
     def _slope_at(self, balance: Balance, turns: Array) -> _Slope:
         n, m, k = self._n_shared, self.n_parts, BORDER

@@ -149,6 +149,10 @@ class Unloaded(Parts):
             change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ g.T
         return change[self.free], push[kept]
 
+    def closing(self, balance: Balance, change: Array) -> tuple[Array, Array]:
+        """As in `Large`: the last correction closes them."""
+        return np.zeros_like(change), np.zeros_like(balance.gap)
+
     def _border_of(self, number: int, balance: Balance) -> tuple[Array, Array, Array]:
         """Of a part in its frame: what pressure, theta, tau, cavities push (n, 3, k), what reads them, (7, 7)."""
         part, span, resting = self.parts[number], self._spans[number], balance.parts

@@ -25,7 +25,6 @@ MAX_NODES = 2000
 INVERTED = 3000
 # smallest over largest pivot of a factor that is told from a singular one
 PIVOT_TOLERANCE = 1e-8
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # of the axes
 DENSE = Status(
     "dense", "boundary elements have a dense factor, in double precision only", "use the linear solver"
 )
@@ -320,23 +319,27 @@ def turned_back(force: Array, turns: Array, state: DeformedSurface, first: Index
     dQ = Q [omega]x with `(tr P - P) omega = -sum levers x dx`, `P = sum levers (x) positions`, is symmetric, and it
     changes by `omega . sum positions x force`.
     """
-    sizes = np.diff(first, append=len(force))
-    of_node = np.repeat(turns, sizes, axis=0)
-    force, levers = (np.einsum("ni,nij->nj", rows, of_node) for rows in (force, state.body.levers))
-    stretch = moments(levers, state.positions, first)
-    inertia = np.trace(stretch, axis1=1, axis2=2)[:, None, None] * np.eye(3) - stretch
-    products = moments(state.positions, force, first)
-    skew = products - products.transpose(0, 2, 1)
-    twist = np.stack([skew[:, 1, 2], skew[:, 2, 0], skew[:, 0, 1]], axis=1)[:, :, None]
-    pull = np.repeat(np.linalg.solve(inertia, twist)[:, :, 0], sizes, axis=0)
-    following = pull[:, _NEXT] * levers[:, _LAST] - pull[:, _LAST] * levers[:, _NEXT]
-    balanced: Array = force - following
+    balanced = np.empty_like(force)
+    for turn, span in zip(turns, spans(first, len(force)), strict=True):
+        own, levers, positions = force[span] @ turn, state.body.levers[span] @ turn, state.positions[span]
+        stretch, products = levers.T @ positions, positions.T @ own
+        skew = products - products.T
+        twist = [skew[1, 2], skew[2, 0], skew[0, 1]]
+        x, y, z = np.linalg.solve(np.trace(stretch) * np.eye(3) - stretch, twist)
+        # less what the pull (x, y, z) on each lever takes, their vector product
+        balanced[span] = own - levers @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
     return balanced
 
 
 def moments(arms: Array, vectors: Array, first: Index) -> Array:
     """(m, 3, 3) sums of arm^T vector over nodes (N, 3), those of body b from first[b] on."""
-    return np.asarray(np.add.reduceat(arms[:, :, None] * vectors[:, None, :], first, axis=0))
+    return np.stack([arms[span].T @ vectors[span] for span in spans(first, len(arms))])
+
+
+def spans(first: Index, count: int) -> list[slice]:
+    """Of bodies that lie one after another on so many nodes, from first[b] on."""
+    ends = [*first[1:].tolist(), count]
+    return [slice(start, end) for start, end in zip(first.tolist(), ends, strict=True)]
 
 
 def too_large(n_nodes: int) -> Status:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -26,6 +27,7 @@ SMALLEST_SUBSTEP = 1.0 / 64.0
 AS_ONE = 0.3
 LEAST_TURN = 1e-9  # of the second moment of the held nodes: rotations about which they say less are not made
 FURTHEST_AHEAD = 8.0  # sum of the weights of converged states, without their signs, that a start is made of
+MOST_STATES = 3  # of the last converged ones that a start is made of
 BENT = 0.1  # of the way along the line through the last two
 # sizes of the body; forces that move it less are measured by those that move it so far
 SMALLEST_MOTION = 1e-6
@@ -33,9 +35,8 @@ SMALLEST_MOTION = 1e-6
 # that moves the body by `SMALLEST_MOTION` where both are smaller
 TOLERANCE = 1e-8
 VOLUME_TOLERANCE = 1e-13  # of |V - V0| / V0
-# of that residual: between them the slope of a state has its corrections mixed too. Below a correction or two by it
-# alone leave the volumes closed, which a mixture does not
-NEAR, BY_SLOPE = 0.02, 100 * TOLERANCE
+# of that residual: below it the slope of a state has its corrections mixed too
+NEAR = 0.02
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
 NOT_CONVERGED = (
@@ -86,6 +87,10 @@ class Large(Protocol):
         """
         ...
 
+    def closing(self, balance: Balance, change: Array) -> tuple[Array, Array]:
+        """What closes the gaps of a state to first order after a change (n_free, d) that was mixed."""
+        ...
+
     def energy(self, balance: Balance) -> float:
         """Elastic energy [J]."""
         ...
@@ -134,6 +139,9 @@ class Whole:
         force, row = (turned(part[nodes], turn.T).reshape(-1) for part in (-lacking, balance.parts[2]))
         change, border = self.factor.solve_updated(force, target, row)
         return turned(change.reshape(len(nodes), -1), turn), border[:1]
+
+    def closing(self, balance: Balance, change: Array) -> tuple[Array, Array]:
+        return np.zeros_like(change), np.zeros_like(balance.gap)  # the last correction closes it
 
     def energy(self, balance: Balance) -> float:
         return self.problem.formulation.deformed_energy(balance.x, balance.parts[0])
@@ -226,7 +234,7 @@ class NonlinearSolver:
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)), weight=0.0)
         self._rest = _Converged(unloaded, np.zeros((len(self.free), d)), np.zeros(self.body.n_pressures))
         self._starts = [self._rest]
-        self._path = self._starts  # the last three
+        self._path = self._starts  # the last few
         self._largest, self._number = 0.0, 0  # of steps since the body was at rest
 
     def begin_at(self, load: Load, x: Array, pressure: Array) -> None:
@@ -271,7 +279,7 @@ class NonlinearSolver:
             balance, x, pressure, reached = found, found.x, found.pressure, target
         if balance is None or reached < 1.0:
             return self._failed(reached, iterations)
-        self._path = [*self._path[-2:], _Converged(load, x, pressure)]
+        self._path = [*self._path[1 - MOST_STATES :], _Converged(load, x, pressure)]
         return DeformedStep(
             problem=self.problem,
             unknown=x[: self.problem.formulation.surface.n_nodes].copy(),
@@ -326,22 +334,28 @@ class NonlinearSolver:
         return float(np.abs(formulation.displacement(change)).max())
 
     def _ahead(self, load: Load) -> tuple[Array, Array]:
-        """Where converged steps point to under a load that goes on as they went: the line through the last two.
+        """Where converged steps point to under a load that goes on as they went.
 
-        Or the parabola through the last three, where it is `BENT` at most; the last one where none goes on.
+        As many of the last as its load is a mixture of are mixed as their loads are: two of a load that grows,
+        three of two that change apart. Where three are in line, the parabola through them where it is `BENT` at
+        most. The last one where loads go elsewhere.
         """
-        last = self._path[-1]
-        found = last.x, last.pressure
-        for path in (self._path[-2:], self._path[-3:]):
-            before = path[-2] if len(path) > 1 else last
-            places = [_share(before.load, last.load, state.load) for state in path]
-            weights = _lagrange(np.array(places), _share(before.load, last.load, load))
-            if not np.abs(weights).sum() <= FURTHEST_AHEAD:
+        path, last = self._path, self._path[-1]
+        for count in range(2, len(path) + 1):
+            weights = _weights([state.load for state in path[-count:]], load)
+            if np.abs(weights).sum() <= FURTHEST_AHEAD:
                 break
-            x = np.tensordot(weights, [state.x for state in path], 1)
-            if len(path) == 3 and np.linalg.norm(x - found[0]) > BENT * np.linalg.norm(found[0] - last.x):
-                break
-            found = x, np.tensordot(weights, [state.pressure for state in path], 1)
+        else:
+            return last.x, last.pressure
+        found = _mixed(path[-count:], weights)
+        if count == 2 and len(path) > 2:
+            line = [state.load for state in path[-2:]]
+            places = np.array([_weights(line, state.load)[1] for state in path[-3:]])
+            bent = _lagrange(places, weights[1])
+            if np.abs(bent).sum() <= FURTHEST_AHEAD:
+                parabola = _mixed(path[-3:], bent)
+                if np.linalg.norm(parabola[0] - found[0]) <= BENT * np.linalg.norm(found[0] - last.x):
+                    return parabola
         return found
 
     def _failed(self, reached: float, iterations: int) -> Step:
@@ -396,11 +410,13 @@ class NonlinearSolver:
                 return self._close_volume(load, balance, turn), iteration
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
             x = x.copy()
-            if self._mixes or BY_SLOPE * balance.scale < residual < NEAR * balance.scale:
+            if self._mixes or residual < NEAR * balance.scale:
                 iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
                 mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
-                x[nodes] = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn)
-                pressure = mixed[-len(pressure) :] / unit
+                change = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn) - x[nodes]
+                closing, pushed = body.closing(balance, change)
+                x[nodes] += change + closing
+                pressure = mixed[-len(pressure) :] / unit + pushed
                 continue
             share = min(1.0, LONGEST * self.reach / max(float(np.abs(change).max()), np.finfo(float).tiny))
             x[nodes] += share * change
@@ -453,23 +469,29 @@ def _hidden(rounding: float, moved: float) -> Status:
     )
 
 
-def _share(before: Load, last: Load, load: Load) -> float:
-    """The s for which load - last is s (last - before) to a tenth, in every part; NaN where there is none."""
-    shares: list[float] = []
+def _mixed(path: Sequence[_Converged], weights: Array) -> tuple[Array, Array]:
+    """Unknowns and pressures of converged states, mixed."""
+    unknowns, pressures = [state.x for state in path], [state.pressure for state in path]
+    return np.tensordot(weights, unknowns, 1), np.tensordot(weights, pressures, 1)
+
+
+def _weights(path: Sequence[Load], load: Load) -> Array:
+    """(k,) weights, of sum 1, of which k loads make another to a tenth of its change, in every part; else NaN."""
+    changes, aims = list[Array](), list[Array]()
     for part in ("contact_pressure", "contact_force", "prescribed", "dead_force", "weight"):
-        values = (getattr(state, part) for state in (before, last, load))
-        a, b, c = (0.0 if value is None else value for value in values)
-        old, new = np.asarray(b - a), np.asarray(c - b)
-        if not old.any() and not new.any():
-            continue
-        size = float(np.vdot(old, old))
-        share = float(np.vdot(old, new)) / size if size > 0.0 else np.nan
-        if not np.linalg.norm(new - share * old) <= 0.1 * np.linalg.norm(new):
-            return np.nan
-        shares.append(share)
-    if not shares or max(shares) - min(shares) > 0.1 * max(map(abs, shares)):
-        return np.nan
-    return shares[0]
+        values = (getattr(state, part) for state in (*path, load))
+        *before, last, aim = np.broadcast_arrays(*(np.ravel(0.0 if v is None else v) for v in values))
+        change = np.stack(before) - last
+        size = float(np.linalg.norm(change)) or 1.0  # parts have units of their own
+        changes.append(change / size)
+        aims.append((aim - last) / size)
+    together, aim = np.concatenate(changes, axis=1), np.concatenate(aims)
+    shares = np.linalg.lstsq(together @ together.T, together @ aim, rcond=None)[0]
+    moves = together.any()
+    for change, aim in zip(changes, aims, strict=True):
+        if not moves or np.linalg.norm(aim - shares @ change) > 0.1 * np.linalg.norm(aim):
+            return np.full(len(path), np.nan)
+    return np.append(shares, 1.0 - shares.sum())
 
 
 def _lagrange(places: Array, place: float) -> Array:
