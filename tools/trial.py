@@ -1,6 +1,7 @@
 """Bodies in parts on trial: slender, thick, thin-walled, forked and hollow ones, and lumps, beside elements.
 
-And what parts cost on finer and finer meshes, beside one body of boundary elements and its sparse form.
+And what parts cost on finer and finer meshes, beside one body of boundary elements and its sparse form, and what
+frames of a body in parts take.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +27,10 @@ import tomli_w
 
 from tools.documents import ROOT, RUNS, finished, show, table
 from tools.evidence import EVIDENCE, MEASURES, as_per_cent, kept, slashed
+from vdm.constraints import Load
+from vdm.material import Parameters
+from vdm.model import Model
+from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.body.refine import refined
 from vdmbench.body.surface_measures import Surface, relative_l2
@@ -33,10 +39,11 @@ from vdmbench.measures.case import CaseResult
 from vdmbench.measures.frame import reference_bar, series
 from vdmbench.measures.reference import level_scene, own_error, restricted
 from vdmbench.models import Prepared
-from vdmbench.models.frames import contact_frame, median_seconds
+from vdmbench.models.frames import contact_frame, median_seconds, pressure_everywhere
 from vdmbench.scene.result import ModelResult
+from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_run
-from vdmbench.study.config import load_study
+from vdmbench.study.config import Study, load_study
 from vdmbench.study.files import merged
 from vdmbench.verdict.formatting import NOTHING, quantity
 
@@ -47,6 +54,7 @@ COST_HEAD = [
     "nodes", "form", "parts", "set-up", "memory", "frame, contact", "small strain", "first answer", "frame",
     "large rotation", "all",
 ]  # fmt: skip
+FRAMES_HEAD = ["load", "nodes", "parts", "moves", "corrections", "frame", "shortest", "longest"]
 HEAD = ["body", "load", "nodes", "moves", "parts", "error", "±", "told"]
 
 
@@ -189,11 +197,8 @@ def cost(text: str, form: str, level: int) -> Cost:
     time.perf_counter = time.thread_time  # the clock that models read: others take none of it
     model, _, parts = form.partition("/")
     own = {"study": {"models": [model]}, **({"vdm": {"parts": int(parts)}} if parts else {})}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "costs.toml"
-        path.write_text(tomli_w.dumps(merged(tomllib.loads(text), own)))
-        study = load_study(path)
-    hierarchy = refined(mesh_from_cache(study.geometry, cache_directory()), level)
+    study, whole_mesh = body(tomli_w.dumps(merged(tomllib.loads(text), own)))
+    hierarchy = refined(whole_mesh, level)
     mesh, scene = hierarchy.meshes[0], level_scene(study, hierarchy)
     start = time.thread_time()
     prepared = Prepared(scene, model, len(scene.load_factors))
@@ -206,6 +211,15 @@ def cost(text: str, form: str, level: int) -> Cost:
         frame(pressure)  # shortens the columns
         contact = median_seconds(lambda: frame(pressure))
     return Cost(len(mesh.surface_nodes), Surface(mesh.surface_points, mesh.triangles), result, contact, whole)
+
+
+def body(text: str) -> tuple[Study, Mesh]:
+    """A study, by its text, and its mesh."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "costs.toml"
+        path.write_text(text)
+        study = load_study(path)
+    return study, mesh_from_cache(study.geometry, cache_directory())
 
 
 def measured(text: str, form: str, level: int = 0) -> Cost | str:
@@ -232,13 +246,16 @@ def costs(size: str) -> Iterator[list[str]]:
         return tomli_w.dumps(merged(COSTS["study"], given))
 
     factors = COSTS["factors"]
-    references = [
-        levels_of(text(at), model) for model, at in (("fem-linear", factors[:1]), ("fem", factors[:2]))
-    ]
+    nodes = str(len(body(text(factors))[1].surface_nodes))
+    references = list[list[Cost]]()
+    for model, at in (("fem-linear", factors[:1]), ("fem", factors[:2])):
+        levels = levels_of(text(at), model)
+        if isinstance(levels, str):
+            yield [nodes, model, NOTHING, levels, *[NOTHING] * 7]
+        references.append([] if isinstance(levels, str) else levels)
     for form in COSTS["forms"]:
         found = measured(text(factors), form)
         model, _, parts = form.partition("/")
-        nodes = str(references[0][-1].nodes)
         if isinstance(found, str):
             yield [nodes, model, parts or "1", found, *[NOTHING] * 7]
             continue
@@ -261,11 +278,14 @@ def write_costs(sizes: Sequence[str]) -> None:
     show(ROOT / COSTS["document"], COSTS["part"], table(COST_HEAD, lines))
 
 
-def levels_of(text: str, model: str) -> list[Cost]:
-    """A reference on the mesh split once, where eight times the cost is within limits, and on the mesh itself."""
+def levels_of(text: str, model: str) -> list[Cost] | str:
+    """A reference on the mesh split once, where eight times the cost is within limits, and on the mesh itself.
+
+    Or why there is none.
+    """
     own = measured(text, model)
     if isinstance(own, str):
-        return []
+        return own
     fits = 8 * own.whole < COSTS["seconds"] and 8 * own.result.peak_bytes < COSTS["bytes"]
     split = measured(text, model, 1) if fits else ""
     return [own] if isinstance(split, str) else [split, own]
@@ -285,8 +305,58 @@ def error_of(u: np.ndarray, levels: Sequence[Cost], surface: Surface, step: int)
     return f"{as_per_cent(off)} ± {as_per_cent(own['gci:relative_l2_displacement_error'])}"
 
 
+# --- frames ---
+
+
+def frames() -> Iterator[list[str]]:
+    """A line for each load that moves all of a body in parts: frames from the last state, a hundredth apart."""
+    own = EVIDENCE["frames"]
+    study, mesh = body(tomli_w.dumps(merged(COSTS["study"], own["study"])))
+    scene, weight = build_scene(study, mesh), np.array([0.0, 0.0, -9.81])
+    everywhere = pressure_everywhere(scene)
+
+    def load(finger: float, elsewhere: float = 0.0) -> Load:
+        pressed = replace(scene, facet_pressure=finger * scene.facet_pressure + elsewhere * everywhere)
+        acting = pressed.load(1.0)
+        return Load(acting.contact_pressure, acting.contact_force)
+
+    steps = 0.01 * np.arange(own["frames"])
+    histories = {
+        "its weight": (weight, [replace(load(0.0), weight=1.0 + step) for step in steps]),
+        "a pressure on its tip": (0.0 * weight, [load(1.0 + step) for step in steps]),
+        "two pressures, apart": (  # once around in six frames
+            0.0 * weight,
+            [load(1.0 + 0.01 * np.cos(100 * step), 1.0 + 0.01 * np.sin(100 * step)) for step in steps],
+        ),
+    }
+    time.perf_counter = time.thread_time  # the clock that models read: others take none of it
+    tissue = study.tissue
+    for name, (gravity, loads) in histories.items():
+        model = Model(
+            mesh.surface_points,
+            mesh.triangles,
+            Parameters(shear_modulus=tissue.youngs_modulus / 3.0, parts=study.vdm.parts),
+            formulation="bem",
+            solver="nonlinear",
+            fixed=scene.fixed,
+            density=tissue.density,
+            gravity=gravity,
+        )
+        found = model.solve(loads)
+        taken, corrections = (part[own["first"] :] for part in (found.seconds_per_step, found.iterations))
+        moved = np.linalg.norm(found.displacement[0], axis=1).max()
+        yield [
+            name, str(len(mesh.surface_nodes)), f"{found.scalars['parts'][0]:.0f}", f"{1e3 * moved:.3g} mm",
+            f"{corrections.mean():.1f}", *(quantity(float(of(taken)), "s") for of in (np.median, np.min, np.max)),
+        ]  # fmt: skip
+
+
 def main(name: str, arguments: Sequence[str]) -> None:
-    """Run all and write the page's table: of the trial, or of what parts cost."""
+    """Run all and write the page's table: of the trial, of what parts cost, or of frames."""
+    if name == "frames":
+        own = EVIDENCE[name]
+        show(ROOT / own["document"], own["part"], table(FRAMES_HEAD, list(frames())))
+        return
     if name == "costs":
         write_costs(arguments or COSTS["sizes"])
         return

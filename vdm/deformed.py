@@ -118,8 +118,8 @@ def follow(force: Array, rest_vectors: Array, state: DeformedSurface) -> Array:
     rest_size = np.linalg.norm(rest_vectors, axis=1)[:, None]
     size = np.linalg.norm(vectors, axis=1)[:, None]
     turn = state.rotation if state.rotation.ndim == 2 else state.rotation[loaded]
-    f = (force[loaded, None] @ turn)[:, 0]
-    before = ((rest_vectors / rest_size)[:, None] @ turn)[:, 0]
+    along = "ni,ij->nj" if turn.ndim == 2 else "ni,nij->nj"
+    f, before = (np.einsum(along, rows, turn) for rows in (force[loaded], rest_vectors / rest_size))
     after = vectors / size
     axis = cross(before, after)
     cosine = np.einsum("ic,ic->i", before, after)[:, None]

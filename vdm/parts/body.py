@@ -179,7 +179,7 @@ class Parts:
                 form.parameters = parameters
             else:
                 own = SurfaceMesh(points[nodes], local.reshape(-1, 3))
-                form = BoundaryFormulation(own, parameters, fixed[nodes], joined[nodes])
+                form = BoundaryFormulation(own, parameters, fixed[nodes], joined[nodes], surface.n_nodes)
             form.swelling = Swelling.of(form)
             owns = np.zeros(len(nodes), np.bool_)
             on_surface = nodes < surface.n_nodes

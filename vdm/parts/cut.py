@@ -6,6 +6,7 @@ set of simple loops, which a cap fills (`vdm.parts.caps`). Surface nodes stay as
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,21 +89,29 @@ def _halved(points: Array, triangles: Index, apart: Mask | None, crossing: bool)
     places = arms @ normal
     order = np.argsort(places, kind="stable")
     share = np.cumsum(areas[order]) / areas.sum()
-    borders, first = list[tuple[bool, list[Index], Mask]](), list[CutError]()
-    for shift in SHIFTS:
-        plane = places[order][np.searchsorted(share, 0.5 + shift)]
-        try:
-            loops, labels = _loops(triangles, places > plane, len(points))
-        except CutError as error:
-            first.append(error)
-            continue
-        borders.append((apart is not None and _near(triangles, loops, apart, len(points)), loops, labels))
-    for _, loops, labels in sorted(borders, key=lambda border: border[0]):  # those that keep away come first
+    near, refused = list[tuple[list[Index], Mask]](), list[CutError]()
+
+    def borders() -> Iterator[tuple[list[Index], Mask]]:
+        """Those that keep away come first."""
+        for shift in SHIFTS:
+            plane = places[order][np.searchsorted(share, 0.5 + shift)]
+            try:
+                loops, labels = _loops(triangles, places > plane, len(points))
+            except CutError as error:
+                refused.append(error)
+                continue
+            if apart is not None and _near(triangles, loops, apart, len(points)):
+                near.append((loops, labels))
+            else:
+                yield loops, labels
+        yield from near
+
+    for loops, labels in borders():
         try:
             return _closed(points, triangles, labels, loops, normal, crossing)
         except CutError as error:
-            first.append(error)
-    raise first[0]
+            refused.append(error)
+    raise refused[0]
 
 
 def _near(triangles: Index, loops: list[Index], apart: Mask, n: int) -> bool:

@@ -71,8 +71,8 @@ class PartsSolver:
     def prepare(self, loads: Sequence[Load], compared: bool = True) -> float:
         """Cut the body as its loads need; the seconds that this took.
 
-        A guess, by a coarse body, saves the whole one where it is not needed: how many parts there are is read
-        from a linear answer of the parts themselves. Unless answers are `compared`, none has twice the parts.
+        A guess, by a coarse body, saves the whole one where it is not needed; a linear answer of the parts
+        themselves may ask for more. Unless answers are `compared`, none has twice the parts.
         """
         start = time.perf_counter()
         surface, load = self._whole.formulation.surface, self._unturned(self._largest(loads))
@@ -89,7 +89,7 @@ class PartsSolver:
             count = min(max(self._least, 1 if guess is None else wanted(guess)), MOST_PARTS)
             self._solver = self._of(count)
             needed = max(self._least, wanted(LinearSolver(self.problem, factor=self.factor)))
-            if min(needed, MOST_PARTS) != count:
+            if min(needed, MOST_PARTS) > count:
                 self._solver = self._of(min(needed, MOST_PARTS))
             self.body.wanted = needed
         seconds = time.perf_counter() - start
@@ -212,11 +212,7 @@ def _inside(rest: Array, x: Array) -> Array:
 def _guess(problem: Problem) -> LinearSolver | None:
     """What answers about as the problem's body of boundary elements, at a few per cent of its costs."""
     form = problem.formulation
-    if (
-        type(form) is not BoundaryFormulation
-        or form.parameters.ground is not None
-        or form.surface.shells.any()
-    ):
+    if type(form) is not BoundaryFormulation or form.parameters.ground is not None:
         return None
     try:
         coarse = RoughFormulation(form.surface, form.parameters, problem.support.held)

@@ -45,7 +45,8 @@ class BoundaryFormulation(DisplacementFormulation):
     pressure too, and keeps its volume.
 
     Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`). Other nodes may be held later, at the
-    mesh's own resolution. Edges between `shared` nodes (N,), which other bodies have too, are not cut.
+    mesh's own resolution. Edges between `shared` nodes (N,), which other bodies have too, are not cut. A part of a
+    body of `n_whole` nodes is as precise as the body would be.
 
     Dense, (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
@@ -74,6 +75,7 @@ class BoundaryFormulation(DisplacementFormulation):
         parameters: Parameters,
         held: Mask | None = None,
         shared: Mask | None = None,
+        n_whole: int = 0,
     ) -> None:
         super().__init__(surface, parameters)
         modulus = parameters.shear_modulus
@@ -81,7 +83,7 @@ class BoundaryFormulation(DisplacementFormulation):
             raise ParameterError(f"the {self.name} formulation needs shear_modulus, one positive number")
         self.shear_modulus = float(modulus)
         self.poisson_ratio = 0.5 if parameters.is_filled else parameters.poisson_ratio
-        self._shared = shared
+        self._shared, self._n_whole = shared, n_whole
         try:
             self._assemble(np.zeros(surface.n_nodes, np.bool_) if held is None else held)
         except linalg.LinAlgError as error:
@@ -134,7 +136,7 @@ class BoundaryFormulation(DisplacementFormulation):
         from vdm.boundary.operators import Facets, precision, surface_stiffness
         from vdm.boundary.tractions import shared
 
-        cut, dtype = rims.surface, precision(rims.body.n_nodes)
+        cut, dtype = rims.surface, precision(max(rims.body.n_nodes, self._n_whole))
         tractions = shared(cut, held) if dtype is np.float32 else None
         matrix = surface_stiffness(
             Facets.of(cut.points, cut.triangles, tractions), self.poisson_ratio, dtype, rims
@@ -319,16 +321,19 @@ def turned_back(force: Array, turns: Array, state: DeformedSurface, first: Index
     dQ = Q [omega]x with `(tr P - P) omega = -sum levers x dx`, `P = sum levers (x) positions`, is symmetric, and it
     changes by `omega . sum positions x force`.
     """
-    balanced = np.empty_like(force)
-    for turn, span in zip(turns, spans(first, len(force)), strict=True):
-        own, levers, positions = force[span] @ turn, state.body.levers[span] @ turn, state.positions[span]
-        stretch, products = levers.T @ positions, positions.T @ own
-        skew = products - products.T
-        twist = [skew[1, 2], skew[2, 0], skew[0, 1]]
-        x, y, z = np.linalg.solve(np.trace(stretch) * np.eye(3) - stretch, twist)
-        # less what the pull (x, y, z) on each lever takes, their vector product
-        balanced[span] = own - levers @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-    return balanced
+    each = spans(first, len(force))
+    own, levers = (
+        np.concatenate([rows[span] @ turn for turn, span in zip(turns, each, strict=True)])
+        for rows in (force, state.body.levers)
+    )
+    stretch, products = moments(levers, state.positions, first), moments(state.positions, own, first)
+    inertia = np.trace(stretch, axis1=1, axis2=2)[:, None, None] * np.eye(3) - stretch
+    skew = products - products.transpose(0, 2, 1)
+    twist = np.stack([skew[:, 1, 2], skew[:, 2, 0], skew[:, 0, 1]], axis=1)[:, :, None]
+    for pull, span in zip(np.linalg.solve(inertia, twist)[:, :, 0].tolist(), each, strict=True):
+        x, y, z = pull  # less its vector product with each lever
+        own[span] -= levers[span] @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    return own
 
 
 def moments(arms: Array, vectors: Array, first: Index) -> Array:
