@@ -101,7 +101,7 @@ def _named(folder: Path, case_hash: str, label: str, suffix: str) -> Path:
     named = folder / "-".join(filter(None, (words, ending)))
     if os.path.lexists(named) or not folder.is_dir():
         return named
-    there = (name for name in os.listdir(folder) if name.endswith(ending) or name == f"{case_hash}{suffix}")
+    there = (name for name in os.listdir(folder) if name.endswith(ending))
     return folder / next(there, named.name)
 
 

@@ -144,8 +144,6 @@ def test_a_file_is_named_by_its_label_and_found_by_its_hash(tmp_path: Path) -> N
     assert case_path(tmp_path, case.hash, "another study's label") == path
     assert case_path(tmp_path, "b" * 64, "../../é of\nsomebody" * 99).parent == path.parent
     assert len(case_path(tmp_path, "b" * 64, "é word " * 99).name.encode()) < 130
-    earlier = path.rename(path.with_name(f"{case.hash}.vtkhdf"))
-    assert case_path(tmp_path, case.hash, "force = 0.1 N") == earlier
     assert store.case_state(tmp_path, case.hash, "force = 0.1 N") == "done"
 
 
