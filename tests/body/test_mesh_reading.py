@@ -130,14 +130,14 @@ def test_reading_has_an_end(ball: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_reading_has_a_limit_of_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A million points take 24 MB and more; what this process may take stays as it was."""
+    """Points of 4.8 MB take that and more; what this process may take stays as it was."""
     path = tmp_path / "large.ply"
     header = (
-        "ply\nformat binary_little_endian 1.0\nelement vertex 1000000\nproperty double x\nproperty double y\n"
+        "ply\nformat binary_little_endian 1.0\nelement vertex 200000\nproperty double x\nproperty double y\n"
     )
-    path.write_bytes(f"{header}property double z\nend_header\n".encode() + os.urandom(24_000_000))
+    path.write_bytes(f"{header}property double z\nend_header\n".encode() + os.urandom(4_800_000))
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    monkeypatch.setattr(read_apart, "MEMORY", 20_000_000)
+    monkeypatch.setattr(read_apart, "MEMORY", 4_000_000)
     monkeypatch.setattr(read_apart, "MEMORY_PER_BYTE", 0)
     with pytest.raises(MeshError, match=r"takes more than 0\.0 GB of memory to read"):
         clean_of(path)
@@ -199,8 +199,10 @@ def read_in_a_fork(path: Path) -> str:
     if not child:
         faulthandler.disable()
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        resource.setrlimit(resource.RLIMIT_AS, (8_000_000_000,) * 2)
-        resource.setrlimit(resource.RLIMIT_DATA, (3_000_000_000,) * 2)
+        # beside what the tests before have taken
+        pages = [int(word) for word in Path("/proc/self/statm").read_text().split()]
+        resource.setrlimit(resource.RLIMIT_AS, (resource.getpagesize() * pages[0] + 6_000_000_000,) * 2)
+        resource.setrlimit(resource.RLIMIT_DATA, (resource.getpagesize() * pages[5] + 2_500_000_000,) * 2)
         resource.setrlimit(resource.RLIMIT_CPU, (20, 20))
         try:
             os.dup2(os.open(os.devnull, os.O_WRONLY), 2)

@@ -100,7 +100,7 @@ def test_a_fluid_keeps_the_volume_far_from_rest(ball: Mesh) -> None:
     found = {}
     for cavities in ("empty", "fluid"):
         scene = build_scene(study(cavities, 0.5, **pressed), ball)
-        for name in ("bem:nonlinear", "fem"):
+        for name in ("bem:nonlinear", "fem") if cavities == "fluid" else ("fem",):
             result = models.run_model(scene, name)
             assert result.status[0].ok, result.status
             found[cavities, name] = result.displacement[0]

@@ -1,6 +1,7 @@
 """No answer of the surface model is wrong in silence: each is held against extended precision where it may break.
 
-The truth is the same linear system, solved in double precision and refined with residuals of long double.
+The truth is the same linear system, solved in double precision and refined with residuals of long double. Estimates
+of the condition are held to numpy's.
 """
 
 from __future__ import annotations
@@ -10,16 +11,15 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import linalg
 
+from solver_common.condition import estimated_norm, operator
 from tests.bodies import shaped
-from tests.vdm.vdm_shapes import icosphere
+from tests.vdm.vdm_shapes import WITH_MATRIX, icosphere, model
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.problem import Problem
 from vdm.solvers import audit
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdmbench.body.distort import distorted
 from vdmbench.body.geometry import build_mesh
-
-from .vdm_shapes import WITH_MATRIX
 
 Array = np.ndarray
 POINTS, TRIANGLES = icosphere(1, (0.05, 0.06, 0.045))
@@ -241,3 +241,73 @@ def test_a_body_that_its_support_carries_along_is_right(formulation: str, solver
     assert solution.status[0].ok, solution.status[0].message
     tolerance = 1e-5 if solver == "single" else 1e-10
     assert_allclose(solution.displacement[0], shift + 0.0 * POINTS, rtol=0, atol=tolerance * 5e-3)
+
+
+def dense_operator(body: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Block and whole matrix of the free nodes, scaled as `condition_of_operator` says, by inverses in numpy."""
+    form = body.formulation
+    m, inside = form.columns.count, np.repeat(body.problem.free, form.components)
+    block = form.stiffness().toarray()[np.ix_(inside, inside)]
+    unit = 1.0 / np.sqrt(np.diag(block))
+    block = block * np.outer(unit, unit)
+    inverse, corner = np.linalg.inv(block), np.abs(np.diag(form.corner))
+    columns, rows = (
+        unit[:, None] * part.dense().reshape(-1, m)[inside] for part in (form.columns, form.rows)
+    )
+    of_column, of_row = (
+        1.0 / np.sqrt(np.maximum(np.diag(b.T @ inverse @ b), corner)) for b in (columns, rows)
+    )
+    below = [(rows * of_row).T, form.corner * np.outer(of_row, of_column)]
+    return block, np.block([[block, -columns * of_column], below])
+
+
+def dense_state(body: Model, penalty: float | None) -> tuple[np.ndarray, np.ndarray]:
+    """Block and whole of the printed matrix, held nodes left out or given a diagonal of alpha."""
+    form, held = body.formulation, np.repeat(~body.problem.free, body.formulation.components)
+    m = form.columns.count
+    held = np.append(held, np.zeros(m, dtype=bool))
+    whole = form.state_matrix().toarray()
+    if penalty is None:
+        whole = whole[np.ix_(~held, ~held)]
+    else:
+        whole[held, held] = penalty * np.abs(np.diag(whole)).max()
+    return whole[:-m, :-m], whole
+
+
+def check(estimate: float, matrix: np.ndarray) -> None:
+    truth = np.linalg.cond(matrix, 1)
+    # a lower bound to rounding, which the inverses in both lose in proportion to the condition
+    assert truth / 3.0 <= estimate <= truth * (1.0 + 1e-13 * truth), (estimate, truth)
+
+
+@pytest.mark.parametrize("solver", ["linear", "lu", "bicg"])
+@pytest.mark.parametrize("formulation", WITH_MATRIX)
+def test_estimates_bound_the_condition_from_below(formulation, solver):
+    body = model(formulation, solver=solver)
+    estimate = body.condition_estimate()
+    block, whole = dense_state(body, None) if solver != "linear" else dense_operator(body)
+    check(estimate.block, block)
+    check(estimate.system, whole)
+    assert estimate == body.condition_estimate()
+
+
+@pytest.mark.parametrize("penalty", [1e2, 1e5])
+def test_a_penalty_is_in_the_estimate(penalty):
+    body = model("consistent", solver="lu", constraint_method="penalty-replaced", penalty=penalty)
+    block, whole = dense_state(body, penalty)
+    check(body.condition_estimate().block, block)
+    check(body.condition_estimate().system, whole)
+    # alpha over the smallest pivot: the block's condition grows as the penalty
+    assert body.condition_estimate().block > penalty
+
+
+def test_the_walk_alone_would_miss_this_matrix():
+    """Higham's example: from the middle of the simplex every column of the inverse looks alike."""
+    n = 20
+    inverse = np.eye(n) + 50.0 * np.outer(*(2 * [np.array([1.0, -1.0] + (n - 2) * [0.0])]))
+    matrix = np.linalg.inv(inverse)
+
+    def solve(b):
+        return np.linalg.solve(matrix, b)
+
+    assert estimated_norm(operator(n, solve, solve)) >= np.linalg.norm(inverse, 1) / 3.0

@@ -190,12 +190,13 @@ def test_frames_on_a_kept_slope_are_those_of_one_made_for_each(monkeypatch: pyte
     made: list[None] = []
     make = Parts._slope_at
     monkeypatch.setattr(Parts, "_slope_at", lambda *given: (made.append(None), make(*given))[1])
-    loads = [at_tip(BAR[0], np.array([0.0, 0.0, -1e-3 - 2e-5 * k])) for k in range(3)]
-    model = clamped(BAR, parts=4)
+    bar = box(counts=(16, 3, 3), size=(LENGTH, SIDE, SIDE))
+    loads = [at_tip(bar[0], np.array([0.0, 0.0, -1e-3 - 2e-5 * k])) for k in range(3)]
+    model = clamped(bar, parts=4)
     warm = model.solve(loads)
     assert isinstance(model.solver, PartsSolver)
     assert len(made) < warm.iterations.sum()
-    cold = clamped(BAR, parts=4).solve(loads[-1:])
+    cold = clamped(bar, parts=4).solve(loads[-1:])
     size = np.abs(cold.displacement[0]).max()
     assert size > 0.01 * LENGTH
     assert_allclose(warm.displacement[-1], cold.displacement[0], rtol=0.0, atol=1e-6 * size)
