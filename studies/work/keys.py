@@ -216,7 +216,7 @@ def _supports(inputs: Mapping[str, Any]) -> list[dict[str, Any]]:
     for part in inputs["constraints"]:
         kind = KINDS.get(part["kind"])
         if kind is not None and kind.supports:
-            named = {"region": inputs["regions"][part["region"]], "versions": kind.versions(part)}
+            named = _held(part, inputs) | {"versions": kind.versions(part)}
             found.append({key: value for key, value in part.items() if key != "name"} | named)
     return found
 
