@@ -19,10 +19,6 @@ def ball(level: int) -> SurfaceMesh:
     return SurfaceMesh(*icosphere(level))
 
 
-def stiffness_of(surface: SurfaceMesh, nu: float = 0.5) -> np.ndarray:
-    return surface_stiffness(Facets.of(surface.points, surface.triangles), nu)
-
-
 def test_single_layer_of_a_constant_traction_on_the_ball():
     surface = ball(2)
     facets = Facets.of(surface.points, surface.triangles)
@@ -36,7 +32,7 @@ def test_single_layer_of_a_constant_traction_on_the_ball():
 def ball_error(degree: int, level: int) -> float:
     """Relative error of u_r under P_n against the exact c_n; no resultant, so rigid motions may be held."""
     surface = ball(level)
-    stiffness = stiffness_of(surface)
+    stiffness = surface_stiffness(Facets.of(surface.points, surface.triangles), 0.5)
     harmonic = eval_legendre(degree, surface.points[:, 2])
     areas = surface.vector_areas
     # the pressure is linear on each facet: a twelfth of a corner's own value and of all three
