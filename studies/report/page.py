@@ -24,7 +24,7 @@ from ..verdict.words import BESIDE, told
 from . import headline, picture
 from .blocks import Section, Viewer
 from .plots import MARKER_PATHS, shape
-from .section_charts import errors, force_against_indentation, run_time_against_error
+from .section_charts import errors, force_against_indentation, run_time_against_error, volume_drift
 from .section_measurement import against_measurement, inputs
 from .section_scene import scene
 from .section_tables import (
@@ -54,6 +54,7 @@ AFTER: tuple[Make, ...] = (
     inputs,
     against_measurement,
     force_against_indentation,
+    volume_drift,
     small_strain_limits,
     run_time_against_error,
     all_measures,

@@ -17,7 +17,7 @@ from ..measures.frame import at_full_load
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..measures.pushed import Answer, Pushed
 from ..verdict.acceptance import name_of, pushes
-from ..verdict.digest import REFERENCE, Digest, frame_of, median_known
+from ..verdict.digest import DRIFT, REFERENCE, Digest, frame_of, median_known
 from ..verdict.formatting import listed, parameter_name, quantity, scale_of, short_percent, swept_value
 from .blocks import Block, Figure, Figures, Section, note
 from .plots import (
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 MESH_SIZE = "geometry.mesh_size"
 QUANTITIES = {VECTOR: "Displacement error", DEFORMATION: "Error in change of shape"}
+_DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
 _FLAT = 5e-4  # of an error: the page prints three digits. A turn that is taken out leaves 2e-6 of quickstart
 _MOST_JOINED = 12  # values of a parameter that a line through medians joins
 _MOST_POINTS = 240  # of a curve that is none; beyond, every k-th value is drawn
@@ -81,9 +82,22 @@ def _varied(digest: Digest) -> Iterator[tuple[_Axis, DataFrame, list[str]]]:
     for key in keys:
         yield _axis(digest, key), at_full_load(rows), [other for other in keys if other != key]
     loaded = rows[rows["load_factor"] != 0.0]
-    at: dict[float | str, float] = {x: x for x in loaded["load_factor"].unique()}
-    if len(at) > 1:
-        yield _Axis("load_factor", "load", "load factor", "linear", at), loaded, ["case"]
+    axis = _load_axis(loaded)
+    if len(axis.at) > 1:
+        yield axis, loaded, ["case"]
+
+
+def volume_drift(digest: Digest) -> Section | None:
+    """Size of the volume drift of every model, the reference too, against the load, where there are steps of it."""
+    rows = digest.table[(digest.table["metric"] == DRIFT) & (digest.table["load_factor"] != 0.0)]
+    rows = rows.assign(value=rows["value"].abs().clip(lower=_DRIFT_FLOOR), bar=math.nan)
+    figures = _charts(digest, rows, _load_axis(rows), "v", {DRIFT: "Volume drift"})
+    return Section("drift", "Volume drift", [Figures(figures, digest.legend)]) if figures else None
+
+
+def _load_axis(rows: DataFrame) -> _Axis:
+    at: dict[float | str, float] = {x: x for x in rows["load_factor"].unique()}
+    return _Axis("load_factor", "load", "load factor", "linear", at)
 
 
 def _orders(digest: Digest, rows: DataFrame) -> list[str]:
@@ -131,13 +145,15 @@ def _stride(axis: _Axis) -> int:
     return 1 if axis.joined or axis.kind == "names" else math.ceil(len(axis.at) / _MOST_POINTS)
 
 
-def _charts(digest: Digest, rows: DataFrame, axis: _Axis, salt: str) -> list[Figure]:
-    """A chart of each error, both on one scale; none where there is one place on the axis alone."""
+def _charts(
+    digest: Digest, rows: DataFrame, axis: _Axis, salt: str, titles: Mapping[str, str] = QUANTITIES
+) -> list[Figure]:
+    """A chart of each metric, all on one scale; none where there is one place on the axis alone."""
     rows = rows[np.isfinite(rows["value"])]
     rows = rows.assign(x=rows[axis.key].map(axis.at), number=rows["case"].map(digest.place))
-    heights = [*rows["value"], *rows["bar"], *map(digest.allowed, QUANTITIES)]
+    heights = [*rows["value"], *rows["bar"], *map(digest.allowed, titles)]
     found = []
-    for k, (metric, title) in enumerate(QUANTITIES.items()):
+    for k, (metric, title) in enumerate(titles.items()):
         own = rows[rows["metric"] == metric]
         if own["x"].nunique() > 1:
             found.append(_chart(digest, own, axis, metric, title, heights, f"{salt}{k}"))

@@ -94,7 +94,7 @@ def test_without_a_reference_no_error_is_claimed() -> None:
     ]
     html = page_html(make_run(cases), stills=False)
     names = re.findall(r'<section id="(\w+)"', html)
-    assert names == ["headline", "surface", "cases", "reproduce"]
+    assert names == ["headline", "surface", "drift", "cases", "reproduce"]
     assert "error" not in words(section(html, "headline")).lower()
 
 
