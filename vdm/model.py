@@ -191,7 +191,8 @@ class Model:
         With the quasi-linear solver `scalars["path_error"]` is the share of the largest displacement so far that is
         owed to the load steps on the way; beyond 1e-3 the status, still converged, says so and what to do.
         `scalars["load_factor"]`, there where a step failed, is the share of the way to each step that was reached.
-        Of a form of boundary integrals `scalars["mesh_error"]` is what its mesh leaves open; see `vdm.mesh_error`.
+        Of a form of boundary integrals `scalars["mesh_error"]` is what its mesh leaves open, and at large rotations
+        `scalars["shape_error"]` too; see `vdm.mesh_error`.
         A body in parts has twice as many where its answers ask for it, and is solved anew; that time is set-up's.
         With `condition`, `scalars["condition_estimate"]` is that of the whole system that is solved, from
         `condition_estimate`, the same for all steps.
@@ -220,6 +221,7 @@ class Model:
         count, n_nodes = len(loads), self.surface.n_nodes
         displacement, reaction_force = (np.empty((count, n_nodes, 3)) for _ in range(2))
         pressure, energy, seconds, residual, path_error, mesh_error = (np.empty(count) for _ in range(6))
+        shape_error = np.empty(count)
         iterations = np.empty(count, dtype=np.int64)
         status: list[Status] = []
         fields = {name: np.empty((count, n_nodes)) for name in self.outputs}
@@ -243,10 +245,11 @@ class Model:
             if isinstance(step, DeformedStep):
                 reached[k] = step.reached
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
-            path_error[k], mesh_error[k] = found.path, self._of_mesh(load, step)
+            path_error[k], (mesh_error[k], shape_error[k]) = found.path, self._of_mesh(load, step)
             told.append(self.solver.scalars(load, step) if isinstance(self.solver, PartsSolver) else {})
             apart = told[-1].get("parts_error", np.nan)
-            status.append(reserved(last.status, bending, mesh_error[k], self._solved.formulation, apart))
+            errors = (bending, mesh_error[k], self._solved.formulation, apart, shape_error[k])
+            status.append(reserved(last.status, *errors))
             for name, values in fields.items():
                 values[k] = self._point_field(name, step)
         return Solution(
@@ -264,6 +267,7 @@ class Model:
                 **({"load_factor": reached} if (reached < 1.0).any() else {}),
                 **({} if np.isnan(path_error).all() else {"path_error": path_error}),
                 **({} if np.isnan(mesh_error).all() else {"mesh_error": mesh_error}),
+                **({} if np.isnan(shape_error).all() else {"shape_error": shape_error}),
                 **{name: np.array([one.get(name, np.nan) for one in told]) for name in _names(told)},
                 **(self.condition_scalars(count) if condition else {}),
             },
@@ -291,15 +295,16 @@ class Model:
                 self._bending_error = np.nan
         return self._bending_error
 
-    def _of_mesh(self, load: Load, step: Step) -> float:
+    def _of_mesh(self, load: Load, step: Step) -> tuple[float, float]:
         """What the mesh leaves open of the answer to a load, see `vdm.mesh_error`; NaN of other forms."""
         form = self._solved.formulation
         has_no_coarse_body = not isinstance(form, BoundaryFormulation) or form.parameters.ground is not None
         if has_no_coarse_body or not isinstance(self.solver, FactorSolver):
-            return np.nan
+            return np.nan, np.nan
         if self._mesh_error is None:
             self._mesh_error = MeshError(self._solved, self.solver.factor)
-        return self._mesh_error.of(load, step if isinstance(self.solver, LinearSolver) else None)
+        mesh = self._mesh_error.of(load, step if isinstance(self.solver, LinearSolver) else None)
+        return mesh, self._mesh_error.shape(load) if isinstance(self.solver, PartsSolver) else np.nan
 
     def _warm_up(self, loads: Sequence[Load]) -> None:
         """The first frame after a set-up takes several times as long as those after it; where one costs next to

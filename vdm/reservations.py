@@ -22,11 +22,18 @@ _INSIDE = (
 )
 
 
-def reserved(status: Status, bending: float, mesh: float, form: Formulation, parts: float = np.nan) -> Status:
-    """The status of a step, with a reservation where one of two errors is beyond `LIMIT`; NaN is none.
+def reserved(
+    status: Status,
+    bending: float,
+    mesh: float,
+    form: Formulation,
+    parts: float = np.nan,
+    shape: float = np.nan,
+) -> Status:
+    """The status of a step, with a reservation where one of three errors is beyond `LIMIT`; NaN is none.
 
-    `bending` is that of `vdm.bending`, of the form on this body; the other the sum of `mesh`, of `vdm.mesh_error`
-    for this load, and of what twice as many `parts` change.
+    `bending` is that of `vdm.bending`, of the form on this body; the second the sum of `mesh`, of `vdm.mesh_error`
+    for this load, and of what twice as many `parts` change; the third `shape`, of `vdm.mesh_error` too.
     """
     left = float(np.nansum([mesh, parts]))
     if not status.ok:
@@ -46,6 +53,11 @@ def reserved(status: Status, bending: float, mesh: float, form: Formulation, par
         remedy = _finer(form, left, "above all at the edges of supports and loads")
         if of_parts:
             remedy = "give more parts"
+    elif shape > LIMIT and isinstance(form, BoundaryFormulation):
+        message = (
+            f"the mesh leaves about {100 * shape:.0f} % of the displacement or of the change of shape open"
+        )
+        remedy = _finer(form, shape, "above all where walls are thin")
     else:
         return status
     return replace(

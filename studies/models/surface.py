@@ -313,7 +313,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="27",
+        version="28",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
@@ -325,7 +325,7 @@ for _registered in (
     _surface(
         name="bem-sparse",
         family=Family.PEERS,
-        version="15",
+        version="16",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility", "parts"),

@@ -28,6 +28,7 @@ Array = np.ndarray
 E, LENGTH, SIDE = 3e4, 0.1, 0.01
 BAR = box(counts=(24, 3, 3), size=(LENGTH, SIDE, SIDE))
 ROD = icosphere(2, (0.06, 0.02, 0.02))
+CUBE = box(6, (0.04, 0.04, 0.04))  # with nodes of its loops in line
 
 
 def clamped(
@@ -50,7 +51,7 @@ def at_tip(points: Array, force: Array) -> Load:
 
 @pytest.mark.parametrize("count", [2, 4, 8])
 def test_parts_fill_the_body(count: int) -> None:
-    for points, triangles in (BAR, ROD):
+    for points, triangles in (BAR, ROD, CUBE):
         found = cut(points, triangles, count)
         assert len(found.parts) >= count or found.refused
         volumes = [volume(found.points, part) for part in found.parts]

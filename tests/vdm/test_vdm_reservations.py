@@ -16,6 +16,7 @@ from vdm.bending import bendings
 from vdm.peers.bem_sparse import HalvedFormulation
 from vdm.reservations import LIMIT, reserved
 from vdm.solution import CONVERGED
+from vdm.surface import rigid_basis
 
 SIDES = (0.04, 0.04, 0.04)
 
@@ -86,6 +87,25 @@ def test_the_nonlinear_solver_is_told_what_the_linear_one_is() -> None:
     assert found[0] == pytest.approx(found[1], rel=1e-9)
 
 
+def test_the_change_of_shape_is_told_by_integrals_on_half_of_the_nodes() -> None:
+    """Half of the distance to a mesh twice as fine and more, three times it here: its facets are coarser too."""
+    (coarse, push), (fine, finer_push) = (standing(n, "pressed", solver="nonlinear") for n in (3, 6))
+    solution = coarse.solve([push.scaled(1e-3)])
+    surface = coarse.surface
+    nearest = np.argmin(np.linalg.norm(surface.points[:, None] - fine.surface.points, axis=2), axis=1)
+    finer = fine.solve([finer_push.scaled(1e-3)])
+    expected = finer.displacement[0][nearest]
+    weights = np.sqrt(surface.nodal_areas)[:, None]
+    change, size = (weights * u for u in (solution.displacement[0] - expected, expected))
+    motions = (weights[:, :, None] * rigid_basis(surface).reshape(-1, 3, 6)).reshape(-1, 6)
+    rigid = np.linalg.qr(motions)[0]
+    change, size = (u.reshape(-1) - rigid @ (rigid.T @ u.reshape(-1)) for u in (change, size))
+    error = 4.0 / 3.0 * np.linalg.norm(change) / np.linalg.norm(size)
+    assert error > 0.01
+    assert 0.5 < solution.scalars["shape_error"][0] / error < 4.0
+    assert finer.scalars["shape_error"][0] < 0.5 * solution.scalars["shape_error"][0]
+
+
 def test_no_other_form_has_one_nor_a_body_on_springs_nor_a_load_of_nothing() -> None:
     points, triangles = icosphere(2, (0.05, 0.05, 0.05))
     nothing, foot = Load(np.zeros(len(points))), points[:, 2] < -0.03
@@ -100,7 +120,7 @@ def test_no_other_form_has_one_nor_a_body_on_springs_nor_a_load_of_nothing() -> 
         assert not solution.status[0].message
 
 
-@pytest.mark.parametrize("which", ["bending", "mesh"])
+@pytest.mark.parametrize("which", ["bending", "mesh", "shape"])
 @pytest.mark.parametrize(("error", "is_told"), [(LIMIT, False), (0.11, True), (np.nan, False)])
 def test_a_reservation_begins_beyond_a_tenth(which: str, error: float, is_told: bool) -> None:
     form = standing(2, "pressed")[0].formulation

@@ -15,6 +15,8 @@ from solver_common.closed_surfaces import closed_pieces
 # nodes inside keep this share of the mesh size from the loop
 CLEAR = 0.6
 SMOOTHINGS = 4
+# of the mesh size squared: a triangle of less area is a line
+FLAT = 1e-9
 # mesh sizes of a cap over that of its loops: finer ones where one leaves a piece without a node inside
 FINER = np.array([1.0, 0.5, 0.25])
 
@@ -70,7 +72,9 @@ def _filled(border: Array, edges: Index, size: float) -> tuple[Array, Index]:
         inner = moved[_clear(moved, border, edges, CLEAR * size)]
     flat = np.vstack([border, inner])
     triangles = _constrained(flat, _delaunay(flat), edges)
-    triangles = triangles[_inside(flat[triangles].mean(axis=1), border, edges)]
+    # nodes of a loop that are in line make a flat one, whose middle is on the loop
+    wide = np.abs(_area(*flat[triangles].transpose(1, 0, 2))) > FLAT * size**2
+    triangles = triangles[wide & _inside(flat[triangles].mean(axis=1), border, edges)]
     triangles = _against(triangles, edges)
     used = np.unique(triangles)
     if len(used) != len(flat):  # a node beside the loops' filled side
@@ -171,11 +175,14 @@ def _area(a: Array, b: Array, c: Array) -> Array:
 
 
 def _against(triangles: Index, edges: Index) -> Index:
-    """The triangles, all turned so that they hold every edge (a, b) of the loops as (b, a)."""
-    halves = {pair for t in triangles.tolist() for pair in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0]))}
-    if all((b, a) in halves for a, b in edges.tolist()):
+    """The triangles, all turned so that their open edges are those (a, b) of the loops, as (b, a)."""
+    halves = [pair for t in triangles.tolist() for pair in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0]))]
+    once = set(halves)
+    open_ones = {(b, a) for a, b in once} - once
+    loops = set(map(tuple, edges.tolist()))
+    if len(once) == len(halves) and open_ones == loops:
         return triangles
-    if all((a, b) in halves for a, b in edges.tolist()):
+    if len(once) == len(halves) and open_ones == {(b, a) for a, b in loops}:
         return np.ascontiguousarray(triangles[:, ::-1])
     raise CutError("loops of the cut cannot be paired")
 

@@ -128,8 +128,12 @@ def _closed(
 ) -> tuple[Array, list[Index]]:
     new, facets = cap(points, loops, normal)
     grown = np.vstack([points, new])
+    border = np.concatenate([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops])
+    n = len(points)
+    if (_keys(facets, n) - _keys(border, n)) & _keys(triangles, n):
+        raise CutError("caps of the cut have an edge of the surface")
     if not crossing:
-        _check_inside(grown, triangles, loops, facets, len(points))
+        _check_inside(grown, triangles, border, facets, n)
     sides = (np.vstack([triangles[~labels], facets]), np.vstack([triangles[labels], facets[:, ::-1]]))
     pieces = [piece for side in sides for piece in _bodies(grown, side)]
     if min(map(len, pieces)) < SMALLEST:
@@ -137,11 +141,8 @@ def _closed(
     return grown, pieces
 
 
-def _check_inside(points: Array, triangles: Index, loops: list[Index], facets: Index, n: int) -> None:
-    """Refuses a cap that leaves the part or touches its surface."""
-    border = np.concatenate([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops])
-    if (_keys(facets, n) - _keys(border, n)) & _keys(triangles, n):
-        raise CutError("caps of the cut have an edge of the surface")
+def _check_inside(points: Array, triangles: Index, border: Index, facets: Index, n: int) -> None:
+    """Refuses a cap on edges (k, 2) of the part that leaves it or touches its surface."""
     centres = points[facets].mean(axis=1)
     one_of_each = np.unique(closed_pieces(facets), return_index=True)[1]
     inside = solid_angles(centres[one_of_each], points, triangles) > 0.5

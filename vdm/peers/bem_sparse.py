@@ -161,6 +161,14 @@ class RoughFormulation(SparseFormulation):
         return self.surface.n_nodes // 8
 
 
+class HalfFormulation(SparseFormulation):
+    """On half of the nodes, with integrals of its own; of a large body on half of `coarse_nodes`."""
+
+    @property
+    def _most_coarse(self) -> int:
+        return min(self.surface.n_nodes, super()._most_coarse) // 2
+
+
 class HalvedFormulation(SparseFormulation):
     """A form of boundary integrals on about half of its nodes, without an integral of its own: S is P^T S P."""
 
