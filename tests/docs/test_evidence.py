@@ -109,6 +109,16 @@ def test_rows_of_what_was_not_measured_anew_stay(tmp_path: Path) -> None:
     assert evidence.kept(str(place), ["body", "x"], [["b", "3"]]) == [["b", "3"], ["a", "1"]]
 
 
+def test_a_reference_that_fails_is_a_line_of_the_costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "measured", lambda text, form, level=0: f"{form} takes more than 12 GB")
+    lines = list(trial.costs("20 mm"))
+    assert {len(line) for line in lines} == {len(trial.COST_HEAD)}
+    assert [line[3] for line in lines[:2]] == [
+        f"{name} takes more than 12 GB" for name in ("fem-linear", "fem")
+    ]
+    assert len(lines) == 2 + len(trial.COSTS["forms"])
+
+
 def ladder_run(*, wrong: float) -> evidence.Run:
     """Two solvers along three Poisson ratios: LU stops at the last, or is off by `wrong` there."""
 
