@@ -110,7 +110,7 @@ def test_rows_of_what_was_not_measured_anew_stay(tmp_path: Path) -> None:
 
 
 def test_a_reference_that_fails_is_a_line_of_the_costs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trial, "measured", lambda text, form, level=0: f"{form} takes more than 12 GB")
+    monkeypatch.setattr(trial, "measured", lambda *asked: f"{asked[1]} takes more than 12 GB")
     lines = list(trial.costs("20 mm"))
     assert {len(line) for line in lines} == {len(trial.COST_HEAD)}
     assert [line[3] for line in lines[:2]] == [
