@@ -26,11 +26,8 @@ from solver_common.progress import Progress, tell
 from solver_common.quadrature import facet_quadrature
 
 _LEAST_STEP = 2.0**-8  # of a load step
-# The same where shorter ones do not help: beyond Biot's stretch, see the README, "Where it ends".
-_LEAST_CRUMPLED = 2.0**-5
 _FAST = 0.1  # of the residual: an iteration that leaves no more is not the last
 _EASY = 5  # Newton iterations after which the next substep may be longer
-_LEAST_DAMPING = 0.1  # of an update that would turn an element inside out
 # Newton far from its goal may raise the residual, but one that keeps doing so may end on another branch.
 _MOST_RISES = 2
 _ROUNDING = 4e-15  # of a displacement gradient, with room
@@ -199,17 +196,17 @@ class Newton:
                 else:  # what failed is tried again after an easy step only
                     step = max(min(step, 0.5 * (wall - reached)), _LEAST_STEP)
                 failed = False
-            elif step <= self._least_step(attempt) or attempt.code == "too-small":
+            elif step <= _LEAST_STEP or attempt.code == "too-small" or self._is_unstable(attempt):
                 return
             else:
                 step, wall, failed = 0.5 * step, target, True
 
-    def _least_step(self, failed: Substep) -> float:
-        """How short a substep may be: one from a state whose surface or tangent is unstable does not repay it."""
+    def _is_unstable(self, failed: Substep) -> bool:
+        """Whether the surface or the tangent before a failed substep is unstable: shorter ones do not help."""
         mesh = self.system.mesh
         crumpled = most_compressed(mesh, failed.state.displacement * mesh.mean_edge).plane < BIOT
         unsolved = failed.code == "linear-solver" and len(failed.residuals) == 1  # the state's own tangent
-        return _LEAST_CRUMPLED if crumpled or unsolved else _LEAST_STEP
+        return crumpled or unsolved
 
     def solve(self, state: State, load: ScaledLoad, load_factor: float, reached: float = 0.0) -> Substep:
         """Newton iterations from a state, at load factor `reached`, to equilibrium under a load."""
@@ -246,15 +243,14 @@ class Newton:
             update = self._update(tangent, step, found)
             if update is None:
                 return outcome(state, "linear-solver")
-            damping = 1.0
-            while True:
+            # An update that would turn an element inside out is halved once: beyond, the load is.
+            for damping in (1.0, 0.5, 0.25):
                 at = [old + damping * change for old, change in zip((u, q, c), update, strict=True)]
                 trial = self._residual(at[0], at[1], at[2], load)
                 if trial.least_determinant > 0.0:
                     break
-                damping *= 0.5
-                if damping < _LEAST_DAMPING:
-                    return outcome(state, "inverted")
+            else:
+                return outcome(state, "inverted")
             (u, q, c), found = at, trial
             residuals.append(found.relative)
 

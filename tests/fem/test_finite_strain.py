@@ -308,8 +308,8 @@ def test_substeps_are_cut_and_grow(block: Body) -> None:
     """Pressed flat in one load step: too much for one solve, not for several."""
     x = block.surface
     held = block.bottom | (x[:, 2] == 1.0)
-    given = (x[:, 2:] == 1.0) * np.array([0.0, 0.0, -0.75])
-    problem = block.finite(held, poisson_ratio=0.45, max_newton=5)
+    given = (x[:, 2:] == 1.0) * np.array([0.0, 0.0, -0.4])
+    problem = block.finite(held, poisson_ratio=0.45, max_newton=2)
     attempts = [a for _, a in problem.substeps([block.load(prescribed=given)])]
     reached = [a.load_factor for a in attempts if a.converged]
     assert not all(a.converged for a in attempts)
@@ -441,7 +441,7 @@ def test_the_end_of_the_way_is_looked_for_once(cell: Body) -> None:
     stopped = problem.solve([_pulled(cell, 20.0)], ASKED, path)
     assert stopped.status[0].code in {"not-converged", "inverted"}
     end = 20.0 * stopped.scalars["load_factor"][0]
-    again = problem.solve([_pulled(cell, 1.5 * end)], ASKED, path)
+    again = problem.solve([_pulled(cell, 20.0)], ASKED, path)
     assert again.status[0].code == stopped.status[0].code
     assert again.iterations[0] == 0
     assert_allclose(again.displacement, stopped.displacement, rtol=1e-14, atol=0)
@@ -461,7 +461,8 @@ def test_a_rim_that_creases_is_named_and_ends_the_way_soon() -> None:
     last = [attempt for attempt in attempts if attempt.converged][-1]
     worst = most_compressed(problem.mesh, last.state.displacement * problem.mesh.mean_edge)
     assert worst.plane < BIOT
-    assert attempts[-1].load_factor - last.load_factor >= 2.0**-5, "no shorter steps beyond Biot's stretch"
+    beyond = [one for one in attempts if not one.converged and one.state is last.state]
+    assert len(beyond) == 1, "no shorter steps beyond Biot's stretch"
     solution = other.solve([load])
     (status,) = solution.status
     x, y, z = 1e3 * worst.place
