@@ -72,7 +72,7 @@ class PartsSolver:
         """Cut the body as its loads need; the seconds that this took.
 
         A guess, by a coarse body, saves the whole one where it is not needed; a linear answer of the parts
-        themselves may ask for more. Unless answers are `compared`, none has twice the parts.
+        themselves decides. Unless answers are `compared`, none has twice the parts.
         """
         start = time.perf_counter()
         surface, load = self._whole.formulation.surface, self._unturned(self._largest(loads))
@@ -89,7 +89,7 @@ class PartsSolver:
             count = min(max(self._least, 1 if guess is None else wanted(guess)), MOST_PARTS)
             self._solver = self._of(count)
             needed = max(self._least, wanted(LinearSolver(self.problem, factor=self.factor)))
-            if min(needed, MOST_PARTS) > count:
+            if min(needed, MOST_PARTS) != count:
                 self._solver = self._of(min(needed, MOST_PARTS))
             self.body.wanted = needed
         seconds = time.perf_counter() - start
