@@ -13,6 +13,7 @@ from solver_common.closed_surfaces import solid_angles
 from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.bending import bending_error
+from vdm.boundary.operators import surface_stiffness
 from vdm.parts.body import Parts
 from vdm.parts.caps import CutError, cap
 from vdm.parts.cut import cut, volume
@@ -333,6 +334,22 @@ def test_a_body_is_led_back_from_its_sag_to_rest_by_the_slope_of_what_is_tried()
     assert isinstance(led, DeformedStep)
     assert led.balance is not None
     assert_allclose(led.balance.x, -step.balance.x, rtol=0.0, atol=1e-6 * sag)
+
+
+def test_a_search_for_a_rest_shape_takes_double_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts of a large body share tractions by their shape; a liver's search did not end with them."""
+    monkeypatch.setattr("vdm.boundary.operators.DOUBLE_NODES", 100)
+    problem = clamped(ROD, share=0.2).problem
+    assembled = list[type]()
+
+    def watched(facets: Any, ratio: float, dtype: type, *rest: Any) -> Array:
+        assembled.append(dtype)
+        return surface_stiffness(facets, ratio, dtype, *rest)
+
+    monkeypatch.setattr("vdm.boundary.operators.surface_stiffness", watched)
+    first = Parts(problem, 4)
+    Parts(problem, 4, first.cut)
+    assert assembled == [np.float32] * 4 + [np.float64] * 4
 
 
 def test_a_load_that_cannot_be_undone_is_named_with_the_share_that_was() -> None:

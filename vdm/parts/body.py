@@ -179,7 +179,9 @@ class Parts:
                 form.parameters = parameters
             else:
                 own = SurfaceMesh(points[nodes], local.reshape(-1, 3))
-                form = BoundaryFormulation(own, parameters, fixed[nodes], joined[nodes], surface.n_nodes)
+                # a search for a rest shape, which passes one cut on, does not end with single precision's tractions
+                precise_as = surface.n_nodes if given is None else 1
+                form = BoundaryFormulation(own, parameters, fixed[nodes], joined[nodes], precise_as)
             form.swelling = Swelling.of(form)
             owns = np.zeros(len(nodes), np.bool_)
             on_surface = nodes < surface.n_nodes

@@ -45,8 +45,8 @@ class BoundaryFormulation(DisplacementFormulation):
     pressure too, and keeps its volume.
 
     Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`). Other nodes may be held later, at the
-    mesh's own resolution. Edges between `shared` nodes (N,), which other bodies have too, are not cut. A part of a
-    body of `n_whole` nodes is as precise as the body would be.
+    mesh's own resolution. Edges between `shared` nodes (N,), which other bodies have too, are not cut. It is
+    as precise as a body of `precise_as` nodes, else of its own.
 
     Dense, (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
@@ -75,7 +75,7 @@ class BoundaryFormulation(DisplacementFormulation):
         parameters: Parameters,
         held: Mask | None = None,
         shared: Mask | None = None,
-        n_whole: int = 0,
+        precise_as: int | None = None,
     ) -> None:
         super().__init__(surface, parameters)
         modulus = parameters.shear_modulus
@@ -83,7 +83,7 @@ class BoundaryFormulation(DisplacementFormulation):
             raise ParameterError(f"the {self.name} formulation needs shear_modulus, one positive number")
         self.shear_modulus = float(modulus)
         self.poisson_ratio = 0.5 if parameters.is_filled else parameters.poisson_ratio
-        self._shared, self._n_whole = shared, n_whole
+        self._shared, self._precise_as = shared, precise_as
         try:
             self._assemble(np.zeros(surface.n_nodes, np.bool_) if held is None else held)
         except linalg.LinAlgError as error:
@@ -136,7 +136,7 @@ class BoundaryFormulation(DisplacementFormulation):
         from vdm.boundary.operators import Facets, precision, surface_stiffness
         from vdm.boundary.tractions import shared
 
-        cut, dtype = rims.surface, precision(max(rims.body.n_nodes, self._n_whole))
+        cut, dtype = rims.surface, precision(self._precise_as or rims.body.n_nodes)
         tractions = shared(cut, held) if dtype is np.float32 else None
         matrix = surface_stiffness(
             Facets.of(cut.points, cut.triangles, tractions), self.poisson_ratio, dtype, rims
