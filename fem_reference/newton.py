@@ -243,7 +243,7 @@ class Newton:
             update = self._update(tangent, step, found)
             if update is None:
                 return outcome(state, "linear-solver")
-            # An update that would turn an element inside out is halved once: beyond, the load is.
+            # An update that would turn an element inside out is halved twice: beyond, the load is.
             for damping in (1.0, 0.5, 0.25):
                 at = [old + damping * change for old, change in zip((u, q, c), update, strict=True)]
                 trial = self._residual(at[0], at[1], at[2], load)
