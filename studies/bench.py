@@ -58,7 +58,6 @@ def study_to_run(
         "name": given.study.name[: MAX_NAME - len(SUFFIX)] + SUFFIX,
         "models": tuple(dict.fromkeys((*models, YARDSTICK))),
         "reference": YARDSTICK,
-        "claims": (),
     }
     study = case.model_copy(
         update={

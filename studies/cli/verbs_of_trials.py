@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..machine import cache_directory
 from ..study.errors import InputError
 from .arguments import RUNS, STUDY_READS, option, place, study_argument, verb
 from .output import FAILED, OK, complain_of_failures, folded, print_json, print_table, tell
 from .studies import check_files, command_of, load, make_plan, require_own, run_missing
-
-if TYPE_CHECKING:
-    pass
 
 
 @verb(

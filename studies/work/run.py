@@ -54,16 +54,22 @@ class Event:
 
 @dataclass(frozen=True)
 class Options:
-    """How to run. `timeout` is per case [s]."""
+    """How to run.
+
+    Attributes
+    ----------
+    timeout : of a case [s]
+    scheduler : address of a Dask scheduler, whose workers do the tasks; also without TLS on another machine where
+        `insecure_scheduler`
+    times : measure what frames take of every model on every mesh, as where a verdict hangs on it
+    """
 
     jobs: int
     shard: tuple[int, int] = (1, 1)
     timeout: float | None = None
-    scheduler: str | None = None  # address of a Dask scheduler, whose workers do the tasks
-    insecure_scheduler: bool = False  # also without TLS on another machine
-    times: bool = (
-        False  # measure what frames take of every model on every mesh, as where a verdict hangs on it
-    )
+    scheduler: str | None = None
+    insecure_scheduler: bool = False
+    times: bool = False
 
 
 def run_plan(
