@@ -33,6 +33,17 @@ from vdm.surface import SurfaceError, rigid_basis
 _Coarse = tuple[LinearSolver, float]
 
 
+def coarse_solver(problem: Problem, make: type[SparseFormulation], *given: Any) -> LinearSolver | None:
+    """Of the problem on a coarser form, made of what is `given`.
+
+    None of a mesh that is hardly more than its supports, or than a small cavity.
+    """
+    try:
+        return LinearSolver(replace(problem, formulation=make(*given)))
+    except (SolverError, SurfaceError, np.linalg.LinAlgError):
+        return None
+
+
 class MeshError:
     """Estimates for the loads of one set-up: the problem of a `BoundaryFormulation`, and its factor at rest."""
 
@@ -44,17 +55,16 @@ class MeshError:
         self._fine = LinearSolver(problem, factor=factor)
         self._halved = self._on(HalvedFormulation, form)
 
-    def of(self, load: Load, linear: Step | None = None) -> float:
-        """Error of the displacement [1] over its size, root mean squares by area, in the linear answer to a load.
+    def of(self, load: Load, linear: Step | None = None, *, shape: bool = False) -> tuple[float, float]:
+        """Errors [1] over their size, root mean squares by area, in the linear answer to a load.
 
-        `linear` is that answer where it is known. NaN for a mesh that has no coarser one, and where nothing moves.
+        Of the displacement; and where `shape`, the larger one of displacement and change of shape, by integrals of
+        their own. `linear` is that answer where it is known. NaN for a mesh that has no coarser one, and where
+        nothing moves.
         """
         fine = (linear or self._fine.step(load)).displacement
-        return self._left(self._halved, load, fine)[0]
-
-    def shape(self, load: Load) -> float:
-        """The larger error of displacement and of change of shape, by integrals of their own; else as `of`."""
-        return max(self._left(self._half, load, self._fine.step(load).displacement))
+        own = max(self._left(self._half, load, fine)) if shape else np.nan
+        return self._left(self._halved, load, fine)[0], own
 
     @cached_property
     def _half(self) -> _Coarse | None:
@@ -65,24 +75,29 @@ class MeshError:
         """The problem on a coarser form, and by how much it has less nodes, less 1; None where there is none."""
         form = self._problem.formulation
         assert isinstance(form, BoundaryFormulation)
-        try:
-            coarse = make(*given)
-            less = form.n_coarse / coarse.n_coarse - 1.0
-            return (LinearSolver(replace(self._problem, formulation=coarse)), less) if less > 0.0 else None
-        except (SolverError, SurfaceError, np.linalg.LinAlgError):
-            return None  # of a mesh that is hardly more than its supports, or than a small cavity
+        solver = coarse_solver(self._problem, make, *given)
+        if solver is None:
+            return None
+        coarse = solver.problem.formulation
+        assert isinstance(coarse, SparseFormulation)
+        less = form.n_coarse / coarse.n_coarse - 1.0
+        return (solver, less) if less > 0.0 else None
+
+    @cached_property
+    def _rigid(self) -> Array:
+        """(3N, 6) orthonormal rigid motions, weighted as displacements are."""
+        motions = rigid_basis(self._problem.formulation.surface)
+        return np.linalg.qr(np.repeat(np.sqrt(self._areas), 3, axis=0) * motions)[0]
 
     def _left(self, coarse: _Coarse | None, load: Load, fine: Array) -> tuple[float, float]:
         """Errors of the displacement, and of what is left of it without its rigid motion."""
         if coarse is None:
             return np.nan, np.nan
         solver, less = coarse
-        weights = np.sqrt(self._areas)
+        weights, rigid = np.sqrt(self._areas), self._rigid
         change, moved = ((weights * u).reshape(-1) for u in (solver.step(load).displacement - fine, fine))
         if not moved.any():
             return np.nan, np.nan
-        motions = rigid_basis(self._problem.formulation.surface)
-        rigid = np.linalg.qr(np.repeat(weights, 3, axis=0) * motions)[0]
         off, size = (np.linalg.norm([u, u - rigid @ (rigid.T @ u)], axis=1) for u in (change, moved))
         displacement, shape = off / size / less
         return float(displacement), float(shape)

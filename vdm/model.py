@@ -303,8 +303,8 @@ class Model:
             return np.nan, np.nan
         if self._mesh_error is None:
             self._mesh_error = MeshError(self._solved, self.solver.factor)
-        mesh = self._mesh_error.of(load, step if isinstance(self.solver, LinearSolver) else None)
-        return mesh, self._mesh_error.shape(load) if isinstance(self.solver, PartsSolver) else np.nan
+        linear = step if isinstance(self.solver, LinearSolver) else None
+        return self._mesh_error.of(load, linear, shape=isinstance(self.solver, PartsSolver))
 
     def _warm_up(self, loads: Sequence[Load]) -> None:
         """The first frame after a set-up takes several times as long as those after it; where one costs next to

@@ -11,6 +11,7 @@ import numpy as np
 from solver_common.arrays import Array, Index
 from vdm.constraints import Load
 from vdm.material import MOST_PARTS
+from vdm.mesh_error import coarse_solver
 from vdm.parts.body import Parts, parts_wanted, pieces_of
 from vdm.parts.cut import Cut
 from vdm.peers.bem import BoundaryFormulation
@@ -214,8 +215,4 @@ def _guess(problem: Problem) -> LinearSolver | None:
     form = problem.formulation
     if type(form) is not BoundaryFormulation or form.parameters.ground is not None:
         return None
-    try:
-        coarse = RoughFormulation(form.surface, form.parameters, problem.support.held)
-        return LinearSolver(replace(problem, formulation=coarse))
-    except (SolverError, np.linalg.LinAlgError):  # of a mesh that is hardly more than its supports
-        return None
+    return coarse_solver(problem, RoughFormulation, form.surface, form.parameters, problem.support.held)
