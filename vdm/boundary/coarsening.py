@@ -55,13 +55,13 @@ def coarsened(surface: SurfaceMesh, count: int, held: Mask | None = None) -> Coa
     fine = triangles = place[surface.triangles]
     n = alive = surface.n_nodes
     random = np.random.default_rng(0)
-    while alive > max(count, 4):
+    while alive > count:
         nodes, onto = _candidates(points, sizes, triangles, SHARE)
         if not len(nodes):
             nodes, onto = _candidates(points, sizes, triangles, 1.0)
         if not len(nodes):
             break
-        taken = _independent(triangles, n, nodes, random)[: alive - max(count, 4)]
+        taken = _independent(triangles, n, nodes, random)[: alive - count]
         target = np.arange(n)
         target[nodes[taken]] = onto[taken]
         moved = target[triangles]
@@ -135,7 +135,9 @@ def _candidates(points: Array, size: Array, triangles: Index, share: float) -> t
     adjacent = sparse.csr_array((np.ones(len(start), dtype=np.int32), (start, end)), shape=(n, n))
     shared = np.asarray((adjacent @ adjacent)[start, end]).ravel()
     valence = np.diff(adjacent.indptr)
-    usable = (shared == 2) & (valence[start] + valence[end] - 4 <= MOST_NEIGHBOURS)
+    left = valence[start] + valence[end] - 4
+    # two are left of a tetrahedron: a shell, as of a small cavity, keeps four nodes
+    usable = (shared == 2) & (left >= 3) & (left <= MOST_NEIGHBOURS)
     along = points[end] - points[start]
     square = np.round(np.einsum("hc,hc->h", along, along) / (size[start] * size[end]), DECIMALS)
     half = np.flatnonzero(usable)
