@@ -72,7 +72,7 @@ def test_a_coarse_surface_is_fine_where_the_fine_one_is():
 def test_a_small_cavity_is_left_as_a_tetrahedron():
     """It has no more neighbours for wider stencils, and the facets of fewer nodes would bound nothing."""
     (x, outer), (y, inner) = icosphere(3, (0.06, 0.03, 0.03)), icosphere(0, (0.004, 0.004, 0.004))
-    points = np.vstack([x, y + [0.02, 0.0, 0.0]])
+    points = np.vstack([x, y + np.array([0.02, 0.0, 0.0])])
     fine = SurfaceMesh(points, np.vstack([outer, inner[:, ::-1] + len(x)]))
     coarse = coarsened(fine, 60)
     assert coarse.surface.n_nodes == 60
