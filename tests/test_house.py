@@ -253,7 +253,7 @@ with tempfile.TemporaryDirectory() as name:
     ("code", "others"),
     [
         ("import vdmbench.report.page", {"scipy", "vdm", "fem_reference", "gmsh", "vtkmodules"}),
-        ("import vdmbench.body.geometry", DRAWING | {"meshio", "rich"}),
+        ("import vdmbench.body.geometry", DRAWING | {"meshio"}),
         (PLAN, SOLVING | {"gmsh", "meshio", "pyvista", "vtkmodules", "pint"}),
     ],
     ids=["report", "body", "plan"],
@@ -275,7 +275,7 @@ def test_a_run_that_has_nothing_left_to_do_loads_no_solver(tmp_path: Path) -> No
     assert vdmbench("run", study, "--out", "run", cwd=tmp_path).returncode == 0
     modules, told = _loaded_by("run", str(study), "--out", "run", directory=tmp_path)
     assert "1 done, 0 failed" in told
-    assert not (SOLVING | {"gmsh", "rich", "matplotlib"}) & modules
+    assert not (SOLVING | {"gmsh", "matplotlib"}) & modules
 
 
 def test_check_loads_no_results_and_a_mesher_once(tmp_path: Path) -> None:

@@ -10,13 +10,13 @@ import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tests.command import vdmbench_process
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
-from vdmbench.study.fields import FieldRow, field_table
+from vdmbench.study.fields import Node, followed, items_of, kinds_of, study_schema
 from vdmbench.verdict.formatting import percent
 
 ROOT = Path(__file__).parents[1]
@@ -26,7 +26,6 @@ README = ROOT / "README.md"
 STUDY_KEYS = ROOT / "studies" / "STUDY.md"
 GALLERY = ROOT / "docs" / "gallery"
 NOTEBOOK = ROOT / "docs" / "reference" / "quickstart.ipynb"
-FEW_KEYS = 2  # of a table that the reference of the keys puts together with others
 COLUMNS = {VECTOR: "displacement error", DEFORMATION: "change of shape"}
 
 
@@ -98,41 +97,64 @@ def notebook() -> str:
 
 
 def study_keys() -> str:
-    """The reference of a study file's keys, from the models that validate it."""
+    """The reference of a study file's keys, from the schema that validates it."""
     text = (
         "# Keys of a study file\n\n"
-        "Made from `studies/study/schema.py` by `make docs`. NAME is a name of yours, `[]` an entry of an "
-        "array of\ntables. Numbers are in the unit shown; a text with another unit of the same dimension is "
-        "converted. A default stands\nin brackets. A parameter that no model of the study reads is a mistake. "
-        "`vdmbench schema` prints the JSON schema, for\nan editor.\n"
+        "Made from the tables that validate a study, by `make docs`. NAME is a name of yours, `[[]]` an array of\n"
+        "tables. Numbers are in the unit shown; a text with another unit of the same dimension is converted. A\n"
+        "default stands in brackets. A parameter that no model of the study reads is a mistake. `vdmbench schema`\n"
+        "prints the JSON schema, for an editor.\n"
     )
-    sections: dict[str, list[FieldRow]] = {}
-    for row in field_table():
-        table_name, _, key = row.key.partition(".")
-        sections.setdefault(table_name, []).append(row._replace(key=key.removeprefix("NAME.")))
-    small = [name for name, rows in sections.items() if len(rows) <= FEW_KEYS]
-    further = [row._replace(key=f"{name}.{row.key}") for name in small for row in sections[name]]
-    assert sections.pop("models") == sections["vdm"]
     titles = {"vdm": "[vdm] for all surface models, [models.NAME] for one", "regions": "[regions.NAME]"}
-    for name, rows in sections.items():
-        if name not in small:
-            title = titles.get(name, f"[[{name[:-2]}]]" if name.endswith("[]") else f"[{name}]")
-            text += f"\n## {title}\n\n{_key_lines(rows)}"
-    return f"{text}\n## Small tables\n\n{_key_lines(further)}"
+    for name, node in study_schema()["properties"].items():
+        if name != "models":
+            table = items_of(followed(node)) or followed(node)
+            title = titles.get(name, f"[[{name}]]" if "items" in node else f"[{name}]")
+            text += f"\n## {title}\n\n" + "".join(f"{line}\n" for line in _key_lines(table))
+    return text
 
 
-def _key_lines(rows: Iterable[FieldRow]) -> str:
-    """A line for each key; keys of one name and one meaning share theirs."""
-    shared: dict[tuple[str, ...], list[str]] = {}
-    for row in rows:
-        shared.setdefault((row.key.rpartition(".")[2], *row[1:]), []).append(f"`{row.key}`")
-    found = ""
-    for (_, kind, default, told), keys in shared.items():
-        unit = re.sub(r"[a-z ]+ \[(.*?)\]", r" \1", f" {kind}").strip()  # of "list of 3: length [m]"
-        value = unit.replace(" | ", "/") + (", required" if default == "required" else "")
-        what = told if default in ("", "[]", "required") else f"{told} ({default})"
-        found += f"- {', '.join(keys)} ({value}): {what}\n"
-    return found
+def _key_lines(table: Node, indent: str = "") -> Iterator[str]:
+    """A line for each key of a table, with those of a table inside; of a table of kinds what each kind adds."""
+    kinds = kinds_of(table)
+    alike = [kind["properties"].keys() for kind in kinds.values()] or [table["properties"].keys()]
+    shared = {
+        key: node
+        for key, node in next(iter(kinds.values()), table)["properties"].items()
+        if all(key in keys for keys in alike)
+    } | table["properties"]
+    for key, node in shared.items():
+        needed = all(key in kind.get("needs", kind.get("required", ())) for kind in kinds.values() or [table])
+        yield from _lines_of(key, node, needed, indent)
+    for word, kind in kinds.items():
+        yield f"{indent}- of `{word}`, {kind['description']}:"
+        own = {key: node for key, node in kind["properties"].items() if key not in shared}
+        yield from _key_lines({**kind, "properties": own}, f"{indent}    ")
+    if entries := table.get("additionalProperties"):
+        yield f'{indent}- `"KEY"` ({entries["title"]}): {entries["description"]}'
+        yield from _key_lines(followed(entries["anyOf"][0]), f"{indent}    ")
+
+
+def _lines_of(name: str, field: Node, needed: bool, indent: str) -> Iterator[str]:
+    node = followed(field)
+    default = f" ({json.dumps(node['default'])})" if "default" in node else ""
+    yield f"{indent}- `{name}` ({_kind(node)}{', required' * needed}): {node['description']}{default}"
+    inside = items_of(node) or node
+    if "properties" in inside:
+        yield from _key_lines(inside, f"{indent}    ")
+
+
+def _kind(node: Node) -> str:
+    """A node's type in words, or its unit."""
+    if "unit" in node:
+        return "number" if node["unit"] == "1" else str(node["unit"])
+    if "items" in node:
+        size = f" of {node['maxItems']}" if node.get("maxItems") == node.get("minItems", 0) else ""
+        return f"list{size}: {_kind(followed(node['items']))}"
+    if "enum" in node:
+        return "/".join(node["enum"])
+    words = {"object": "table", "string": "text", "integer": "whole number", "boolean": "true or false"}
+    return words.get(node.get("type", ""), "as of KEY")
 
 
 def main() -> None:

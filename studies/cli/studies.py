@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -39,19 +41,26 @@ def baseline_of(options: argparse.Namespace, study: str) -> Path:
     return options.baseline or baseline_path(results_directory(), study)
 
 
+def plan_of(options: argparse.Namespace) -> Plan:
+    """The plan of the study that a command line names; where results are to be kept, in a directory of its own."""
+    plan = make_plan(load(options), options)
+    if "out" in options:
+        require_own(plan, options)
+    return plan
+
+
 def make_plan(
     study: Study, options: argparse.Namespace, *, directory: Path | None = None, command: tuple[str, ...] = ()
 ) -> Plan:
-    """The plan of all cases; in --out or results/runs/NAME by default."""
+    """The plan of all cases of a study; in --out or results/runs/NAME by default."""
     from ..study.config import expand
     from ..work import plan as graph_plan
 
-    directory = directory or vars(options).get("out")
-    if directory is None:
-        directory = results_directory() / "runs" / study.study.name
-    cache = vars(options).get("cache") or cache_directory()
+    given = vars(options)
+    directory = directory or given.get("out") or results_directory() / "runs" / study.study.name
+    cache = given.get("cache") or cache_directory()
     command = command or command_of("run", options)
-    fresh = vars(options).get("fresh", False)
+    fresh = given.get("fresh", False)
     return graph_plan.make_plan(study, expand(study), directory, cache, command, fresh=fresh)
 
 
@@ -125,13 +134,6 @@ def run_missing(plan: Plan, options: argparse.Namespace, **how: Any) -> tuple[Ru
         return run_plan(plan, plan.study.text, chosen, progress.show, rebuild)
 
 
-def only_case(plan: Plan, why: str) -> PlannedCase:
-    """The case of a study without a sweep. Raises InputError with `why` where there are more."""
-    if len(plan.cases) > 1:
-        raise InputError(f"{why} a study of one case; leave [sweep] out")
-    return plan.cases[0]
-
-
 def numbered_case(plan: Plan, number: int) -> PlannedCase:
     """The case that --case names, from 1. Raises InputError where there is none."""
     if number > len(plan.cases):
@@ -139,7 +141,7 @@ def numbered_case(plan: Plan, number: int) -> PlannedCase:
     return plan.cases[number - 1]
 
 
-# --- how far a run is: a bar on a terminal, lines in a pipe, on standard error so that output can be piped ---
+# --- how far a run is: one line of a terminal, lines in a pipe, on standard error so that output can be piped ---
 
 
 class Progress:
@@ -152,53 +154,42 @@ class Progress:
     """
 
     def __init__(self, name: str, *, quiet: bool) -> None:
-        self.name = name
-        self.quiet = quiet
-        self.bar: Any = None
+        self.name, self.quiet = name, quiet
         self.done = self.total = 0
-        self.spoke = time.monotonic()
+        self.began = self.spoke = time.monotonic()
 
     def __enter__(self) -> Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self.bar is not None:
-            self.bar.stop()
+        self._line("")
 
     def show(self, event: Event) -> None:
         """Show one event of the run; a sentence also where progress is not wanted."""
         if event.kind == "told":
+            self._line("")
             complain(event.message, OK)
             return
         if event.kind == "begun":
             self.total = event.count
         ended = event.kind in ("done", "failed", "stopped")
         self.done += ended
-        if self.quiet:
-            return
+        now = time.monotonic()
         place = ": ".join(filter(None, [event.label or self.name, event.message]))
-        if sys.stderr.isatty():
-            # not sooner: it is a thread, and workers are forked from a process that has no other
-            self.bar = self.bar or _bar()
-            self.bar.update(self.bar.task_ids[0], description=place, completed=self.done, total=self.total)
-        elif ended and event.kind != "stopped":
-            self._say(f"{event.kind} {place} ({event.seconds:.1f} s)")
-        elif time.monotonic() - self.spoke >= SILENCE:
-            self._say(f"at {place}, {self.done} of {self.total} done")
+        self._line(f"{self.done}/{self.total}, {now - self.began:.0f} s, {place}")
+        if self.quiet or sys.stderr.isatty():
+            return
+        if ended and event.kind != "stopped":
+            tell(f"{event.kind} {place} ({event.seconds:.1f} s)")
+        elif now - self.spoke >= SILENCE:
+            tell(f"at {place}, {self.done} of {self.total} done")
+        else:
+            return
+        self.spoke = now
 
-    def _say(self, text: str) -> None:
-        self.spoke = time.monotonic()
-        tell(text)
-
-
-def _bar() -> Any:
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    # no time that remains: pieces differ a thousandfold
-    columns = (BarColumn(20), MofNCompleteColumn(), TimeElapsedColumn())
-    what = TextColumn("{task.description}", markup=False)
-    bar = Progress(*columns, what, console=Console(stderr=True), transient=True)
-    bar.start()
-    bar.add_task("starting", total=None)
-    return bar
+    def _line(self, text: str) -> None:
+        """Write the line of a terminal anew."""
+        if not self.quiet and sys.stderr.isatty():
+            with contextlib.suppress(OSError):  # a terminal that is gone ends no run
+                width = shutil.get_terminal_size().columns - 1
+                print(f"\r\x1b[K{text[:width]}", end="", file=sys.stderr, flush=True)

@@ -39,7 +39,7 @@ from .output import (
     print_table,
     tell,
 )
-from .studies import baseline_of, load, make_plan, numbered_case, only_case, require_own, run_missing
+from .studies import baseline_of, numbered_case, plan_of, run_missing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -265,9 +265,10 @@ def _judge(options: argparse.Namespace) -> int:
         safe_name(name)
     except ValueError as error:
         raise InputError(f"--name: {error}") from None
-    plan = make_plan(load(options), options)
-    require_own(plan, options)
-    case = only_case(plan, "--result judges")
+    plan = plan_of(options)
+    if len(plan.cases) > 1:
+        raise InputError("--result judges a study of one case; leave [sweep] out")
+    case = plan.cases[0]
     if name in plan.study.study.models:
         raise InputError(f"--name: {name} is a model of the study; give the program another name")
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
@@ -349,13 +350,12 @@ def _export_scene(options: argparse.Namespace, out: Path) -> int:
     from ..scene.export import Handout, write_scene
     from ..scene.scene import build_scene
 
-    study = load(options)
-    plan = make_plan(study, options)
-    case = numbered_case(plan, options.case)
+    plan = plan_of(options)
+    case, study = numbered_case(plan, options.case), plan.study.study
     mesh = mesh_from_cache(plan.meshes[case.mesh].geometry, plan.cache)
     history = case.study.load.history
     factor = history[full_load_step(np.array(history))]
-    name = f"{study.study.name}: {case.label}" if case.label else study.study.name
+    name = f"{study.name}: {case.label}" if case.label else study.name
     scene = build_scene(case.study, mesh)
     body = Handout(scene, scene.load(factor), " ".join(name.split()), factor)
     with whole_directory(out) as begun:

@@ -25,7 +25,7 @@ from .arguments import (
     verb,
 )
 from .output import OK, USAGE, answer, folded, print_json, print_run, print_table
-from .studies import check_files, load, make_plan, numbered_case, require_own, run_missing
+from .studies import check_files, numbered_case, plan_of, run_missing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -107,12 +107,11 @@ def show_scene(options: argparse.Namespace) -> int:
     from ..report.scene_picture import Stage, scene_png
     from ..report.section_scene import outlines_of, parts_of, scene_words
 
-    study = load(options)
-    plan = make_plan(study, options)
-    case = _unsolved(plan, numbered_case(plan, options.case))
+    plan = plan_of(options)
+    study, case = plan.study.study, _unsolved(plan, numbered_case(plan, options.case))
     words = scene_words(case, [case])
-    path = options.save or Path(f"{study.study.name}-scene.png")
-    title = f"{study.study.title}: {case.label}" if case.label else study.study.title
+    path = options.save or Path(f"{study.name}-scene.png")
+    title = f"{study.title}: {case.label}" if case.label else study.title
     told = [f"{what}: {value}" for what, value in words]
     parts = parts_of(case, [case])
     stage = Stage(case.points, case.triangles, parts, outlines_of(case))
@@ -191,8 +190,8 @@ def check_study(options: argparse.Namespace) -> int:
     from ..work.tasks import bodies
 
     try:
-        study = load(options)
-        plan = make_plan(study, options)
+        plan = plan_of(options)
+        study = plan.study
         check_files(plan, plan.cases)
         work = bodies(plan, plan.cases)
         if stops := blockers(plan, plan.cases, work):
@@ -221,19 +220,14 @@ def plan_study(options: argparse.Namespace) -> int:
     """Print what a run would do."""
     from ..work.explain import summary
 
-    study = load(options)
-    plan = make_plan(study, options)
-    require_own(plan, options)
+    plan = plan_of(options)
     check_files(plan, plan.cases_to_run())
     planned = summary(plan) | {"directory": str(plan.directory)}
     if options.json:
         return print_json(planned)
-    print(
-        folded(
-            f"{study.study.title}: {plural(len(planned['cases']), 'case')} of {', '.join(study.study.models)}"
-        )
-    )
-    if study.study.reference is None:
+    study = plan.study.study
+    print(folded(f"{study.title}: {plural(len(planned['cases']), 'case')} of {', '.join(study.models)}"))
+    if study.reference is None:
         print("no reference: the models run without comparison")
     for case in planned["cases"]:
         print(f"  {case['hash'][:12]}  {case['state']:<8} {case['label']}")
@@ -282,9 +276,7 @@ def _work_rows(work: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
 )
 def run_study(options: argparse.Namespace) -> int:
     """Run what is missing, write the report, print the headline table."""
-    study = load(options)
-    plan = make_plan(study, options)
-    require_own(plan, options)
+    plan = plan_of(options)
     names = ("shard", "timeout", "scheduler", "insecure_scheduler")
     how = {name: getattr(options, name) for name in names}
     run, report = run_missing(plan, options, **how)

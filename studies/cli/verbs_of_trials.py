@@ -9,7 +9,7 @@ from ..machine import cache_directory
 from ..study.errors import InputError
 from .arguments import RUNS, STUDY_READS, option, place, study_argument, verb
 from .output import FAILED, OK, complain_of_failures, folded, print_json, print_table, tell
-from .studies import check_files, command_of, load, make_plan, require_own, run_missing
+from .studies import check_files, command_of, load, make_plan, plan_of, run_missing
 
 
 @verb(
@@ -126,8 +126,7 @@ def calibrate_study(options: argparse.Namespace) -> int:
     from ..calibrate import as_json, as_toml, body, calibrate, check, check_fit, table
     from ..machine import json_text, write_atomically
 
-    plan = make_plan(load(options), options)
-    require_own(plan, options)
+    plan = plan_of(options)
     check_fit(plan)
     plans = [plan]  # read, and found to be of use, before anything is run
     for name in options.transfer:

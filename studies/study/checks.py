@@ -245,7 +245,7 @@ def _check_regions(study: Study) -> Iterator[Finding]:
         if not region.model_fields_set:
             yield (
                 loc,
-                f"selects nothing; give {', '.join(Region.keys())}, or several, all of which are to hold",
+                f"selects nothing; give {', '.join(Region.model_fields)}, or several, all of which are to hold",
             )
         for key, half_space in (("below", region.below), ("above", region.above)):
             if half_space is not None and (half_space.fraction is None) == (half_space.value is None):

@@ -1,6 +1,6 @@
 """All keys of a study file as one JSON schema, made by pydantic from the tables that validate it.
 
-From it are read what a sweep can vary and the reference of all keys; an editor takes it as it is.
+From it are read what a sweep can vary, and the reference of all keys; an editor takes it as it is.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import islice
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
@@ -17,7 +17,6 @@ from pydantic_core import core_schema
 from .errors import Loc, entry_name
 from .kinds import SI, OneOf, Table
 from .schema import MOST_NAMES, Inputs, Known, Range, Study, StudyInfo, Sweep, VdmTable, model_table
-from .units import DIMENSIONS
 
 Node = dict[str, Any]  # of the schema
 
@@ -112,7 +111,7 @@ def _schema(of_model: type[VdmTable]) -> Node:
     return about | found
 
 
-def _followed(node: Node) -> Node:
+def followed(node: Node) -> Node:
     """A node, or what it refers to with the words of its own."""
     if "$ref" not in node:
         return node
@@ -120,20 +119,20 @@ def _followed(node: Node) -> Node:
     return {**study_schema()["$defs"][node["$ref"].rpartition("/")[2]], **own}
 
 
-def _items(node: Node) -> Node | None:
+def items_of(node: Node) -> Node | None:
     """What a table of tables, or a list of them, holds; None of any other node."""
     inside = node.get("additionalProperties") if "properties" not in node else None
     if inside is None and node.get("type") == "array":
         inside = node["items"]
-    found = _followed(inside) if isinstance(inside, dict) else {}
+    found = followed(inside) if isinstance(inside, dict) else {}
     return found if "properties" in found else None
 
 
-def _kinds(table: Node) -> dict[str, Node]:
+def kinds_of(table: Node) -> dict[str, Node]:
     """Of a table of several kinds the word of each, and its own table."""
     rules = table.get("allOf", [])
     return {
-        word["const"]: _followed(rule["then"]) for rule in rules for word in rule["if"]["properties"].values()
+        word["const"]: followed(rule["then"]) for rule in rules for word in rule["if"]["properties"].values()
     }
 
 
@@ -177,13 +176,13 @@ def _of_each_model(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _targets(node: Node, key: str, loc: Loc, value: Any) -> Iterator[tuple[str, Target]]:
-    node = _followed(node)
-    items = _items(node)
+    node = followed(node)
+    items = items_of(node)
     if "properties" in node:
         if value is None and len(loc) > 1:
             return  # an optional table inside another, which a value of a sweep cannot complete
         inside = value if isinstance(value, dict) else {}
-        kinds, named = _kinds(node), inside.get(next(iter(node["properties"])))
+        kinds, named = kinds_of(node), inside.get(next(iter(node["properties"])))
         chosen = [kind for word, kind in kinds.items() if word == named] or list(kinds.values())
         fields = {name: field for kind in chosen or [node] for name, field in kind["properties"].items()}
         for name, field in fields.items():
@@ -208,85 +207,3 @@ def _named(value: Any) -> Iterator[tuple[str, str | int, Any]]:
         for place, item in enumerate(value):
             if (name := entry_name(item)) is not None:
                 yield name, place, item
-
-
-# --- the reference of all keys ---
-
-
-class FieldRow(NamedTuple):
-    """One key of the study file, as a reference shows it."""
-
-    key: str
-    kind: str
-    default: str
-    help: str
-
-
-def field_table() -> list[FieldRow]:
-    """Every key of a study file with its type and unit, default and help, in the file's order."""
-    return list(_rows(study_schema(), ""))
-
-
-def _rows(table: Node, prefix: str) -> Iterator[FieldRow]:
-    if kinds := _kinds(table):
-        yield from _rows_of_kinds(table, kinds, prefix)
-        return
-    for name, field in table["properties"].items():
-        node, items = _followed(field), _items(_followed(field))
-        if "properties" in node:
-            yield from _rows(node, f"{prefix}{name}.")
-            continue
-        if items is not None:
-            yield from _rows(items, f"{prefix}{name}{'[]' if node.get('type') == 'array' else '.NAME'}.")
-        else:
-            yield _row(table, name, prefix)
-    if entries := table.get("additionalProperties"):
-        yield FieldRow(f'{prefix}"KEY"', entries["title"], "", entries["description"])
-        yield from _rows(_followed(entries["anyOf"][0]), f'{prefix}"KEY".')
-
-
-def _row(table: Node, name: str, prefix: str) -> FieldRow:
-    node = table["properties"][name]
-    default = node.get("default", "")
-    text = str(default).lower() if isinstance(default, bool) else str(default)
-    needed = name in (*table.get("needs", ()), *table.get("required", ()))
-    return FieldRow(prefix + name, _kind(node), "required" if needed else text, node.get("description", ""))
-
-
-def _rows_of_kinds(table: Node, kinds: dict[str, Node], prefix: str) -> Iterator[FieldRow]:
-    """The keys of all kinds, and of each key which kinds have it."""
-    by = next(iter(table["properties"]))
-    words = ", ".join(f"{word}: {kind.get('description', word).strip()}" for word, kind in kinds.items())
-    yield FieldRow(prefix + by, " | ".join(kinds), "required", words)
-    found: dict[str, dict[str, FieldRow]] = {}
-    for word, kind in kinds.items():
-        for name in kind["properties"]:
-            found.setdefault(name, {})[word] = _row(kind, name, prefix)
-    for name, rows in found.items():
-        told: dict[str, list[str]] = {}
-        for word, row in rows.items():
-            told.setdefault(row.help, []).append(word)
-        first, of_all = next(iter(rows.values())), {row.kind: None for row in rows.values()}
-        texts = [
-            text if len(who) == len(kinds) else f"{', '.join(who)}: {text}" for text, who in told.items()
-        ]
-        if name != by:
-            yield first._replace(kind=" or ".join(sorted(of_all, key=len)), help="; ".join(texts))
-
-
-def _kind(node: Node) -> str:
-    """A node's type in words, with its unit."""
-    if unit := node.get("unit"):
-        return DIMENSIONS[unit][0].split(" ", 1)[1] + f" [{unit}]" if unit != "1" else "number"
-    if "enum" in node:
-        return " | ".join(node["enum"])
-    kind = node.get("type", "text" if "anyOf" in node else "")
-    if kind != "array":
-        return {"boolean": "true or false", "integer": "whole number", "": "as of KEY"}.get(kind, "text")
-    items = node["items"]
-    if "unit" in items:
-        size = f" of {node['maxItems']}" if "maxItems" in node else ""
-        return f"list{size}: {_kind(items)}"
-    if items["type"] == "array":
-        return f"list of {_kind(items).replace('list of', 'lists of')}"
-    return "list of whole numbers" if items["type"] == "integer" else "list of texts"

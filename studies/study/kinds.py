@@ -16,6 +16,7 @@ from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
+    Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
@@ -24,7 +25,14 @@ from pydantic import (
     model_validator,
 )
 from pydantic.fields import FieldInfo
-from pydantic_core import CoreSchema, ErrorDetails, InitErrorDetails, PydanticCustomError, core_schema
+from pydantic_core import (
+    CoreSchema,
+    ErrorDetails,
+    InitErrorDetails,
+    PydanticCustomError,
+    PydanticUndefined,
+    core_schema,
+)
 
 from .errors import MOST_TOLD, Loc, Source, unknown
 from .units import NUMBER, QuantityError, shown, to_si, type_name
@@ -157,6 +165,11 @@ Rotation = Literal["none", "global"]
 # --- What all tables of a study file share ---
 
 
+def Key(told: str, default: Any = PydanticUndefined, **checks: Any) -> Any:
+    """A key of a table: its help, its default where it may be left out, and what else `pydantic.Field` takes."""
+    return Field(default, description=told, **checks)
+
+
 class Enters(Enum):
     """Which keys a field of the study, or of one of its tables, enters; unmarked: of answers and case."""
 
@@ -229,19 +242,9 @@ class Table(BaseModel):
         return handler(data)
 
     @classmethod
-    def keys(cls) -> dict[str, FieldInfo]:
-        """The fields by their key."""
-        return cls.model_fields
-
-    @classmethod
-    def unknown_key(cls, key: str) -> str:
-        """What is said of a key that the table has not."""
-        return unknown(key, list(cls.keys()), "key")
-
-    @classmethod
     def missing_key(cls, key: str) -> str:
         """What is said of a key that is not there."""
-        return f"is missing: {cls.keys()[key].description}"
+        return f"is missing: {cls.model_fields[key].description}"
 
     @classmethod
     def _fault(cls, details: ErrorDetails) -> InitErrorDetails:
@@ -259,7 +262,7 @@ class Table(BaseModel):
         if kind == "missing":
             return cls.missing_key(str(loc[-1]))
         if kind == "extra_forbidden":
-            return cls.unknown_key(str(loc[-1]))
+            return unknown(str(loc[-1]), list(cls.model_fields), "key")
         if kind == "literal_error":
             options = re.findall(r"'([^']*)'", details["ctx"]["expected"])
             if isinstance(value, str):
@@ -273,7 +276,7 @@ class Table(BaseModel):
         """Of this table's `data` what does not bear one of these marks, two levels deep; unknown keys stay."""
         kept: dict[str, Any] = {}
         for key, value in data.items():
-            field = self.keys().get(key)
+            field = type(self).model_fields.get(key)
             if field is not None and (Enters.of(field) or self.enters) in marks:
                 continue
             table = getattr(self, key) if field is not None else None

@@ -10,14 +10,13 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
-
 from .errors import Loc, listed
 from .kinds import (
     SI,
     Direction,
     Enters,
     Force,
+    Key,
     Length,
     Name,
     OneOf,
@@ -154,11 +153,11 @@ class Constraint(OneOf):
     loads: ClassVar[tuple[str, ...]] = ()
     words: ClassVar[Mapping[str, Mapping[str, str]]] = {}
 
-    kind: str = Field(description="what happens to the region")
-    region: str = Field(description="name of the region")
-    name: Annotated[Name, Enters.CASE] = Field(
+    kind: str = Key("what happens to the region")
+    region: str = Key("name of the region")
+    name: Annotated[Name, Enters.CASE] = Key(
+        "names it in sweeps and reports; the region's name where left out",
         default_factory=lambda given: given["region"],
-        description="names it in sweeps and reports; the region's name where left out",
     )
 
     @property
@@ -217,11 +216,9 @@ class Contact(Constraint):
     kind: Literal["contact"]
     loads = ("pressure", "force")
     words: ClassVar[Mapping[str, Mapping[str, str]]] = {"profile": VERSIONS}
-    pressure: Pressure | None = Field(None, description="(peak) pressure, positive into the body")
-    force: Annotated[float, SI("N")] | None = Field(None, description="resultant, instead of the pressure")
-    profile: Profile = Field(
-        "uniform", description="shape of the pressure; all but uniform need a cap or ball"
-    )
+    pressure: Pressure | None = Key("(peak) pressure, positive into the body", None)
+    force: Annotated[float, SI("N")] | None = Key("resultant, instead of the pressure", None)
+    profile: Profile = Key("shape of the pressure; all but uniform need a cap or ball", "uniform")
 
     def act(self, on: Placed) -> Acts:
         shape = on.pressure(self.profile)
@@ -245,9 +242,7 @@ class Constrained(Constraint):
     kind: Literal["constrained"]
     holds = True
     loads = ("displacement",)
-    displacement: Position = Field(
-        description='displacement at load factor 1, such as ["0 mm", "0 mm", "-5 mm"]'
-    )
+    displacement: Position = Key('displacement at load factor 1, such as ["0 mm", "0 mm", "-5 mm"]')
 
     def act(self, on: Placed) -> Acts:  # noqa: ARG002
         return Acts(displacement=self.displacement)
@@ -265,9 +260,7 @@ class Line(_Dead):
     """pulled along a line of edges"""
 
     kind: Literal["line"]
-    resultant: Force = Field(
-        description='dead force at load factor 1, over its edges, such as ["0 N", "0 N", "-1 N"]'
-    )
+    resultant: Force = Key('dead force at load factor 1, over its edges, such as ["0 N", "0 N", "-1 N"]')
 
     def act(self, on: Placed) -> Acts:
         return Acts(dead=(on.edges(), self.resultant))
@@ -277,8 +270,8 @@ class Traction(_Dead):
     """pulled or sheared by a traction of any direction"""
 
     kind: Literal["traction"]
-    resultant: Force = Field(
-        description='dead force at load factor 1, spread evenly over its facets, such as ["0.1 N", "0 N", "0 N"]'
+    resultant: Force = Key(
+        'dead force at load factor 1, spread evenly over its facets, such as ["0.1 N", "0 N", "0 N"]'
     )
 
     def act(self, on: Placed) -> Acts:
@@ -291,11 +284,9 @@ class Elastic(Constraint):
     kind: Literal["elastic"]
     version = "2"
     supports = True
-    stiffness: Annotated[float, SI("Pa/m"), positive] = Field(
-        description='spring constant per area, such as "1 kPa/mm"'
-    )
-    direction: Literal["normal", "full"] = Field(
-        "normal", description="what the springs resist: motion along the normal, or any"
+    stiffness: Annotated[float, SI("Pa/m"), positive] = Key('spring constant per area, such as "1 kPa/mm"')
+    direction: Literal["normal", "full"] = Key(
+        "what the springs resist: motion along the normal, or any", "normal"
     )
 
     @property
@@ -311,18 +302,17 @@ class Indenter(Constraint):
 
     kind: Literal["indenter"]
     loads = ("depth",)
-    depth: Length = Field(
-        description='way of the indenter at load factor 1, from where it first touches the region, such as "5 mm"'
+    depth: Length = Key(
+        'way of the indenter at load factor 1, from where it first touches the region, such as "5 mm"'
     )
-    shape: Literal["sphere", "flat-punch", "capsule"] = Field(
-        description="of the indenter, whose axis goes through the middle of its region: "
-        "sphere, flat-punch or capsule"
+    shape: Literal["sphere", "flat-punch", "capsule"] = Key(
+        "of the indenter, whose axis goes through the middle of its region: sphere, flat-punch or capsule"
     )
-    radius: Length = Field(description='of the indenter, such as "10 mm"')
-    length: Length | None = Field(None, description="of a capsule, between the middles of its ends")
-    along: Direction | None = Field(None, description="axis of a capsule, across the push")
-    push: Direction | None = Field(
-        None, description="direction of the push, against the region's mean normal where left out"
+    radius: Length = Key('of the indenter, such as "10 mm"')
+    length: Length | None = Key("of a capsule, between the middles of its ends", None)
+    along: Direction | None = Key("axis of a capsule, across the push", None)
+    push: Direction | None = Key(
+        "direction of the push, against the region's mean normal where left out", None
     )
 
     @property

@@ -11,12 +11,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, ValidationInfo, model_validator
 
 from .kinds import (
     MAX_NAME,
     SI,
     Coordinate,
+    Key,
     Length,
     Name,
     Plain,
@@ -214,9 +215,9 @@ _Deviation = Annotated[float, SI("m"), not_negative]
 class Displacement(Table):
     """A displacement of which not every component is known"""
 
-    displacement_x: Coordinate | None = Field(None, description="along x")
-    displacement_y: Coordinate | None = Field(None, description="along y")
-    displacement_z: Coordinate | None = Field(None, description="along z")
+    displacement_x: Coordinate | None = Key("along x", None)
+    displacement_y: Coordinate | None = Key("along y", None)
+    displacement_z: Coordinate | None = Key("along z", None)
 
     def components(self) -> dict[int, float]:
         """Axis -> value of what is known [m]."""
@@ -227,71 +228,62 @@ class Displacement(Table):
 class MeasuredPoint(Displacement):
     """One point of a measured table"""
 
-    name: Annotated[str, AfterValidator(one_line)] = Field(
-        "", description="names it in the report", max_length=MAX_NAME
+    name: Annotated[str, AfterValidator(one_line)] = Key("names it in the report", "", max_length=MAX_NAME)
+    x: Coordinate = Key("its place at rest, on the body's surface")
+    y: Coordinate = Key("its place at rest")
+    z: Coordinate = Key("its place at rest")
+    uncertainty: _Deviation | None = Key(
+        "standard uncertainty of each component, instead of the table's", None
     )
-    x: Coordinate = Field(description="its place at rest, on the body's surface")
-    y: Coordinate = Field(description="its place at rest")
-    z: Coordinate = Field(description="its place at rest")
-    uncertainty: _Deviation | None = Field(
-        None, description="standard uncertainty of each component, instead of the table's"
-    )
-    load_factor: Plain | None = Field(None, description="load step, instead of the table's")
-    line: int | None = Field(None, description="its line in the CSV file, for messages", ge=1)
-    others: dict[str, Displacement] = Field(
-        {}, description="what other programs computed there, by their name", max_length=10
+    load_factor: Plain | None = Key("load step, instead of the table's", None)
+    line: int | None = Key("its line in the CSV file, for messages", None, ge=1)
+    others: dict[str, Displacement] = Key(
+        "what other programs computed there, by their name", {}, max_length=10
     )
 
 
 class MeasuredForce(Table):
     """One point of a curve of force against depth"""
 
-    depth: Length = Field(
-        description="of a contact the largest displacement of its nodes, inwards along the normal; of an indenter "
+    depth: Length = Key(
+        "of a contact the largest displacement of its nodes, inwards along the normal; of an indenter "
         "its way from where it first touches; of what moves a region the movement"
     )
-    force: Annotated[float, SI("N")] = Field(description="resultant, in the direction of the depth")
-    uncertainty: Annotated[float, SI("N"), not_negative] | None = Field(
-        None, description="standard uncertainty, instead of the table's"
+    force: Annotated[float, SI("N")] = Key("resultant, in the direction of the depth")
+    uncertainty: Annotated[float, SI("N"), not_negative] | None = Key(
+        "standard uncertainty, instead of the table's", None
     )
-    line: int | None = Field(None, description="its line in the CSV file, for messages", ge=1)
+    line: int | None = Key("its line in the CSV file, for messages", None, ge=1)
 
 
 class Measured(Table):
     """[[measured]]: points with displacements, a deformed surface, or force against depth"""
 
-    name: Name = Field(description="names it in the report; the file's name where left out")
-    path: str | None = Field(
-        None,
-        description="a CSV file beside the study: columns `point`, `x`, `y`, `z`, `displacement_x`, "
+    name: Name = Key("names it in the report; the file's name where left out")
+    path: str | None = Key(
+        "a CSV file beside the study: columns `point`, `x`, `y`, `z`, `displacement_x`, "
         "`displacement_y`, `displacement_z`, `uncertainty`, `load_factor`, units in brackets as in `x [mm]`; an "
         "empty cell was not measured; `NAME.displacement_x` is what another program computed; of a deformed "
         "surface `deformed_x`, `deformed_y`, `deformed_z`; of force against depth `depth`, `force`, `uncertainty`",
-    )
-    source: Annotated[str, AfterValidator(one_line)] = Field(
-        "", description="who measured, in one line for the report", max_length=500
-    )
-    uncertainty: _Deviation | None = Field(
-        None, description="standard uncertainty u_D of each component, where a point has none of its own"
-    )
-    load_factor: Plain | None = Field(
-        None, description="load factor of [load] that the values belong to; the largest where left out"
-    )
-    points: tuple[MeasuredPoint, ...] = Field(
-        (), description="the points themselves, instead of a path", strict=False
-    )
-    surface: tuple[Position, ...] = Field(
-        (), description="places on the deformed surface, instead of points", strict=False
-    )
-    forces: tuple[MeasuredForce, ...] = Field(
-        (), description="force against depth, instead of points", strict=False
-    )
-    force_uncertainty: Annotated[float, SI("N"), not_negative] | None = Field(
-        None, description="standard uncertainty u_D of the forces, where one has none of its own"
-    )
-    constraint: str | None = Field(
         None,
-        description="name of the contact, indenter or movement whose force it is; needed where there are several",
+    )
+    source: Annotated[str, AfterValidator(one_line)] = Key(
+        "who measured, in one line for the report", "", max_length=500
+    )
+    uncertainty: _Deviation | None = Key(
+        "standard uncertainty u_D of each component, where a point has none of its own", None
+    )
+    load_factor: Plain | None = Key(
+        "load factor of [load] that the values belong to; the largest where left out", None
+    )
+    points: tuple[MeasuredPoint, ...] = Key("the points themselves, instead of a path", (), strict=False)
+    surface: tuple[Position, ...] = Key("places on the deformed surface, instead of points", (), strict=False)
+    forces: tuple[MeasuredForce, ...] = Key("force against depth, instead of points", (), strict=False)
+    force_uncertainty: Annotated[float, SI("N"), not_negative] | None = Key(
+        "standard uncertainty u_D of the forces, where one has none of its own", None
+    )
+    constraint: str | None = Key(
+        "name of the contact, indenter or movement whose force it is; needed where there are several", None
     )
 
     @model_validator(mode="before")

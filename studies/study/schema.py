@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal
 from pydantic import (
     AfterValidator,
     ConfigDict,
-    Field,
     PrivateAttr,
     SerializeAsAny,
     ValidationInfo,
@@ -32,6 +31,7 @@ from .kinds import (
     Direction,
     Enters,
     Fraction,
+    Key,
     Length,
     LineForce,
     Modulus,
@@ -74,9 +74,9 @@ PoissonRatio = Annotated[
 class Tissue(Table):
     """[tissue]"""
 
-    youngs_modulus: YoungsModulus = Field(description="Young's modulus")
-    poisson_ratio: PoissonRatio = Field(
-        description="Poisson's ratio, up to and including 0.5; surface models keep the volume"
+    youngs_modulus: YoungsModulus = Key("Young's modulus")
+    poisson_ratio: PoissonRatio = Key(
+        "Poisson's ratio, up to and including 0.5; surface models keep the volume"
     )
     density: Annotated[
         float,
@@ -86,20 +86,19 @@ class Tissue(Table):
             lambda v: 10 <= v <= 1e5,
             'must lie between 10 and 100,000 kg/m^3 (a mixed-up unit? write "1.06 g/cm^3")',
         ),
-    ] = Field(1060.0, description="mass density; only gravity uses it")
-    law: Literal["neo-hookean", "mooney-rivlin", "yeoh", "fung", "ogden"] | None = Field(
-        None,
-        description="law of large strain, of fem: neo-hookean where left out; its moduli at small strain are these",
+    ] = Key("mass density; only gravity uses it", 1060.0)
+    law: Literal["neo-hookean", "mooney-rivlin", "yeoh", "fung", "ogden"] | None = Key(
+        "law of large strain, of fem: neo-hookean where left out; its moduli at small strain are these", None
     )
-    second_share: Fraction | None = Field(None, description="mooney-rivlin: c2 / (c1 + c2)")
-    second_ratio: Annotated[float, SI("1"), not_negative] | None = Field(None, description="yeoh: c2 / c1")
-    third_ratio: Annotated[float, SI("1"), not_negative] | None = Field(None, description="yeoh: c3 / c1")
-    exponent: Ratio | None = Field(None, description="fung: b of exp(b (I1 - 3)), as Demiray has it")
-    exponents: Annotated[Plains, number_check(lambda v: v != 0, "must not be zero")] | None = Field(
-        None, description="ogden: the exponents"
+    second_share: Fraction | None = Key("mooney-rivlin: c2 / (c1 + c2)", None)
+    second_ratio: Annotated[float, SI("1"), not_negative] | None = Key("yeoh: c2 / c1", None)
+    third_ratio: Annotated[float, SI("1"), not_negative] | None = Key("yeoh: c3 / c1", None)
+    exponent: Ratio | None = Key("fung: b of exp(b (I1 - 3)), as Demiray has it", None)
+    exponents: Annotated[Plains, number_check(lambda v: v != 0, "must not be zero")] | None = Key(
+        "ogden: the exponents", None
     )
-    shares: Annotated[Plains, positive] | None = Field(
-        None, description="ogden: share of each term in the shear modulus; they sum to 1"
+    shares: Annotated[Plains, positive] | None = Key(
+        "ogden: share of each term in the shear modulus; they sum to 1", None
     )
 
 
@@ -146,81 +145,73 @@ MOST_LEVELS = 4  # of meshes that a reference's error bar is from
 class StudyInfo(Table):
     """[study]"""
 
-    name: Annotated[Name, Enters.NOTHING] = Field(
-        description="names the run directory: letters, digits, _ . -"
-    )
-    title: Annotated[str, AfterValidator(one_line), Enters.NOTHING] = Field(
+    name: Annotated[Name, Enters.NOTHING] = Key("names the run directory: letters, digits, _ . -")
+    title: Annotated[str, AfterValidator(one_line), Enters.NOTHING] = Key(
+        "one line for the report; the name where left out",
         default_factory=lambda given: given["name"],
-        description="one line for the report; the name where left out",
         max_length=200,
     )
-    models: Annotated[tuple[str, ...], Enters.CASE] = Field(
-        description='models to run: registered names, with a solver if wanted, as in "vdm-paper:quasi-linear"',
+    models: Annotated[tuple[str, ...], Enters.CASE] = Key(
+        'models to run: registered names, with a solver if wanted, as in "vdm-paper:quasi-linear"',
         strict=False,
         max_length=MOST_NAMES,
     )
-    reference: Annotated[str | None, Enters.CASE] = Field(
-        None, description="the model that the others are compared with, one of `models`; none: no comparison"
+    reference: Annotated[str | None, Enters.CASE] = Key(
+        "the model that the others are compared with, one of `models`; none: no comparison", None
     )
-    condition: bool = Field(
-        False, description="whether the models estimate the condition of the system that they solve"
-    )
-    homogeneous: tuple[str, ...] = Field(
-        (),
-        description="models of this study that may answer as if there were no inclusions; the others know them, or "
+    condition: bool = Key("whether the models estimate the condition of the system that they solve", False)
+    homogeneous: tuple[str, ...] = Key(
+        "models of this study that may answer as if there were no inclusions; the others know them, or "
         "are refused",
+        (),
         strict=False,
         max_length=MOST_NAMES,
     )
-    max_cases: Annotated[int, Enters.NOTHING] = Field(
-        1000, description="refuse a sweep of more cases than this", ge=1, le=100_000
+    max_cases: Annotated[int, Enters.NOTHING] = Key(
+        "refuse a sweep of more cases than this", 1000, ge=1, le=100_000
     )
 
 
 class VdmTable(Table):
     """[vdm]: what is left out comes from a documented rule of the model"""
 
-    bulk_modulus: Modulus | None = Field(None, description="B of the paper")
-    connectivity_modulus: Modulus | None = Field(None, description="B_ij of the paper")
-    shear_modulus: Modulus | None = Field(None, description="mu of boundary elements")
-    coarse_nodes: int | None = Field(
-        None, description="sparse form: most nodes of its coarse body, 200 to 2,000", ge=200, le=2000
+    bulk_modulus: Modulus | None = Key("B of the paper", None)
+    connectivity_modulus: Modulus | None = Key("B_ij of the paper", None)
+    shear_modulus: Modulus | None = Key("mu of boundary elements", None)
+    coarse_nodes: int | None = Key(
+        "sparse form: most nodes of its coarse body, 200 to 2,000", None, ge=200, le=2000
     )
-    parts: int | None = Field(
-        None,
-        description="boundary elements, nonlinear solver: into how many parts the body is cut; left out: as many as"
+    parts: int | None = Key(
+        "boundary elements, nonlinear solver: into how many parts the body is cut; left out: as many as"
         " its rotations need",
+        None,
         ge=1,
         le=64,
     )
-    compressibility: Literal["tissue", "fluid"] | None = Field(
-        None,
-        description="boundary elements: the tissue's own Poisson's ratio, or a fluid that keeps the volume;"
+    compressibility: Literal["tissue", "fluid"] | None = Key(
+        "boundary elements: the tissue's own Poisson's ratio, or a fluid that keeps the volume;"
         " left out: tissue, of the nonlinear solver fluid",
-    )
-    foundation: Annotated[float, SI("Pa/m"), not_negative] | None = Field(
-        None, description="k, stiffness against normal displacement per area"
-    )
-    surface_tension: LineForce | None = Field(
-        None, description="T, tension of the skin; in the vector form its mean"
-    )
-    stretch_stiffness: LineForce | None = Field(None, description="E_s, stiffness of edges against stretch")
-    rotation: Rotation | None = Field(None, description="rotation that costs the skin no energy")
-    penalty: Ratio | None = Field(
         None,
-        description="alpha of (25) and (26), which only lu solves; left out: held nodes are eliminated exactly",
     )
-    tolerance: Annotated[Ratio, number_check(lambda v: v < 1, "must be below 1")] | None = Field(
-        None, description="of the iterative solvers, residual over right-hand side; left out: 1e-10"
+    foundation: Annotated[float, SI("Pa/m"), not_negative] | None = Key(
+        "k, stiffness against normal displacement per area", None
     )
-    stop: Literal["printed", "intended", "residual"] | None = Field(
-        None,
-        description="of Figure 8, where an iteration ends: the length of the answer rests, the answer rests, or the"
+    surface_tension: LineForce | None = Key("T, tension of the skin; in the vector form its mean", None)
+    stretch_stiffness: LineForce | None = Key("E_s, stiffness of edges against stretch", None)
+    rotation: Rotation | None = Key("rotation that costs the skin no energy", None)
+    penalty: Ratio | None = Key(
+        "alpha of (25) and (26), which only lu solves; left out: held nodes are eliminated exactly", None
+    )
+    tolerance: Annotated[Ratio, number_check(lambda v: v < 1, "must be below 1")] | None = Key(
+        "of the iterative solvers, residual over right-hand side; left out: 1e-10", None
+    )
+    stop: Literal["printed", "intended", "residual"] | None = Key(
+        "of Figure 8, where an iteration ends: the length of the answer rests, the answer rests, or the"
         " residual is small; left out: printed",
-    )
-    volume_row: Literal["printed", "corrected"] | None = Field(
         None,
-        description="(33) in print or the volume's gradient; left out: printed in figure-8, else corrected",
+    )
+    volume_row: Literal["printed", "corrected"] | None = Key(
+        "(33) in print or the volume's gradient; left out: printed in figure-8, else corrected", None
     )
 
     def given(self) -> Vdm:
@@ -237,7 +228,7 @@ def model_table() -> type[VdmTable]:
 @cache
 def _table_with(own: tuple[tuple[str, Parameter], ...]) -> type[VdmTable]:
     fields: dict[str, Any] = {
-        key: (Annotated[float, SI(parameter.unit)] | None, Field(None, description=parameter.help))
+        key: (Annotated[float, SI(parameter.unit)] | None, Key(parameter.help, None))
         for key, parameter in own
     }
     return create_model("ModelTable", __base__=VdmTable, **fields) if own else VdmTable
@@ -253,31 +244,29 @@ def _of_model(value: Any, handler: ValidatorFunctionWrapHandler, info: Validatio
 class HalfSpace(Table):
     """Nodes on one side of a plane across an axis"""
 
-    axis: Axis = Field(description="axis that the plane is perpendicular to")
-    fraction: Fraction | None = Field(
-        None, description="place of the plane as a fraction of the body's extent"
-    )
-    value: Coordinate | None = Field(None, description="place of the plane as a coordinate")
+    axis: Axis = Key("axis that the plane is perpendicular to")
+    fraction: Fraction | None = Key("place of the plane as a fraction of the body's extent", None)
+    value: Coordinate | None = Key("place of the plane as a coordinate", None)
 
 
 class Ball(Table):
     """Nodes within a ball"""
 
-    center: Position = Field(description="centre")
-    radius: Length = Field(description="radius")
+    center: Position = Key("centre")
+    radius: Length = Key("radius")
 
 
 class Box(Table):
     """Nodes within a box"""
 
-    min: Position = Field(description="lowest coordinates")
-    max: Position = Field(description="highest coordinates")
+    min: Position = Key("lowest coordinates")
+    max: Position = Key("highest coordinates")
 
 
 class Cap(Table):
     """Nodes within a cone, seen from the centroid of the body"""
 
-    direction: Direction = Field(description="axis of the cone, of any length")
+    direction: Direction = Key("axis of the cone, of any length")
     angle: Annotated[
         float,
         SI("rad"),
@@ -286,33 +275,30 @@ class Cap(Table):
             lambda v: v <= math.pi,
             'must be at most 180 deg (a bare number is in radians: write "25 deg")',
         ),
-    ] = Field(description="half of the opening angle")
+    ] = Key("half of the opening angle")
 
 
 class Region(Table):
     """[regions.NAME]: the nodes for which all of its keys hold"""
 
-    below: HalfSpace | None = Field(None, description="nodes below a plane")
-    above: HalfSpace | None = Field(None, description="nodes above a plane")
-    ball: Ball | None = Field(None, description="nodes in a ball")
-    box: Box | None = Field(None, description="nodes in a box")
-    cap: Cap | None = Field(None, description="nodes in a cone from the centroid")
-    group: str | None = Field(None, description="nodes of a named group of the mesh file", min_length=1)
-    cavity: bool | None = Field(
-        None,
-        description="true: nodes of the walls of cavities; else all but a group is on the outer surface",
+    below: HalfSpace | None = Key("nodes below a plane", None)
+    above: HalfSpace | None = Key("nodes above a plane", None)
+    ball: Ball | None = Key("nodes in a ball", None)
+    box: Box | None = Key("nodes in a box", None)
+    cap: Cap | None = Key("nodes in a cone from the centroid", None)
+    group: str | None = Key("nodes of a named group of the mesh file", None, min_length=1)
+    cavity: bool | None = Key(
+        "true: nodes of the walls of cavities; else all but a group is on the outer surface", None
     )
 
 
 class Load(Table):
     """[load]"""
 
-    factors: Plains = Field(
-        (1.0,), description="the load history: factors on pressures, forces and displacements"
-    )
-    steps: int | None = Field(
+    factors: Plains = Key("the load history: factors on pressures, forces and displacements", (1.0,))
+    steps: int | None = Key(
+        "equal steps from each factor to the next, the first from zero; one where left out",
         None,
-        description="equal steps from each factor to the next, the first from zero; one where left out",
         ge=1,
         le=1000,
     )
@@ -332,26 +318,26 @@ class Load(Table):
 class Gravity(Table):
     """[gravity]"""
 
-    acceleration: Annotated[Vector3, SI("m/s^2", 3)] = Field(description="acceleration along x, y, z")
-    scanned: bool | None = Field(
-        None,
-        description="whether the geometry was scanned under this weight: the rest shape is found from it, and "
+    acceleration: Annotated[Vector3, SI("m/s^2", 3)] = Key("acceleration along x, y, z")
+    scanned: bool | None = Key(
+        "whether the geometry was scanned under this weight: the rest shape is found from it, and "
         "displacements count from the scanned shape",
+        None,
     )
 
 
 class Environment(Table):
     """[environment]"""
 
-    pressure: Pressure = Field(description="P_ep, pressure of the surroundings")
+    pressure: Pressure = Key("P_ep, pressure of the surroundings")
 
 
 class Anisotropy(Table):
     """[anisotropy]"""
 
-    fibre_direction: Direction = Field(description="direction of the fibres, of any length")
-    contrast: Ratio = Field(
-        description="Young's modulus along the fibres over `tissue.youngs_modulus` (FEM, 1 or more); "
+    fibre_direction: Direction = Key("direction of the fibres, of any length")
+    contrast: Ratio = Key(
+        "Young's modulus along the fibres over `tissue.youngs_modulus` (FEM, 1 or more); "
         "B_ij, T and E_s of an edge, B_i and k of a node along them over those across (VDM)"
     )
 
@@ -359,35 +345,32 @@ class Anisotropy(Table):
 class Inclusion(Table):
     """[[inclusions]]: a part of the inside with moduli of its own, as a tumour; one of ball, box, group"""
 
-    name: Name = Field(description="names it in sweeps and reports")
-    ball: Ball | None = Field(None, description="tetrahedra whose middle is in a ball")
-    box: Box | None = Field(None, description="tetrahedra whose middle is in a box")
-    group: str | None = Field(
-        None, description="tetrahedra whose four nodes are in a named group of the mesh file", min_length=1
+    name: Name = Key("names it in sweeps and reports")
+    ball: Ball | None = Key("tetrahedra whose middle is in a ball", None)
+    box: Box | None = Key("tetrahedra whose middle is in a box", None)
+    group: str | None = Key(
+        "tetrahedra whose four nodes are in a named group of the mesh file", None, min_length=1
     )
-    youngs_modulus: YoungsModulus = Field(description="its Young's modulus")
-    poisson_ratio: PoissonRatio | None = Field(
-        None,
-        description="its Poisson's ratio, the tissue's where left out; ratios that differ are above 0",
+    youngs_modulus: YoungsModulus = Key("its Young's modulus")
+    poisson_ratio: PoissonRatio | None = Key(
+        "its Poisson's ratio, the tissue's where left out; ratios that differ are above 0", None
     )
 
 
 class Range(Table):
     """An axis as a range, of numbers"""
 
-    start: Any = Field(description="its first value")
-    stop: Any = Field(description="its last value")
-    num: int | None = Field(
-        None, description="how many values; a latin-hypercube takes none", ge=2, le=MOST_VALUES
-    )
-    scale: Literal["linear", "log"] = Field("linear", description="in equal steps or in equal ratios")
+    start: Any = Key("its first value")
+    stop: Any = Key("its last value")
+    num: int | None = Key("how many values; a latin-hypercube takes none", None, ge=2, le=MOST_VALUES)
+    scale: Literal["linear", "log"] = Key("in equal steps or in equal ratios", "linear")
 
 
 class Known(Table):
     """How well a number is known: one of the keys"""
 
-    sd: Any = Field(None, description="its standard deviation; the study has its mean")
-    range: Any = Field(None, description="list of its least and its most value, all between as likely")
+    sd: Any = Key("its standard deviation; the study has its mean", None)
+    range: Any = Key("list of its least and its most value, all between as likely", None)
 
 
 class Sweep(Table):
@@ -395,13 +378,13 @@ class Sweep(Table):
 
     model_config = ConfigDict(extra="allow")
 
-    mode: Literal["grid", "zip", "one-at-a-time", "latin-hypercube"] = Field(
-        "grid",
-        description="every combination; one after the other in step; the study as it is written, then each axis "
+    mode: Literal["grid", "zip", "one-at-a-time", "latin-hypercube"] = Key(
+        "every combination; one after the other in step; the study as it is written, then each axis "
         "alone; or random samples of ranges",
+        "grid",
     )
-    samples: int | None = Field(None, description="latin-hypercube: number of cases", ge=1)
-    seed: int | None = Field(None, description="latin-hypercube: seed, 0 where left out", ge=0, lt=2**32)
+    samples: int | None = Key("latin-hypercube: number of cases", None, ge=1)
+    seed: int | None = Key("latin-hypercube: seed, 0 where left out", None, ge=0, lt=2**32)
 
 
 class Inputs(Table):
@@ -413,30 +396,28 @@ class Inputs(Table):
 class Limits(Table):
     """[limits]: search the small-strain limits"""
 
-    along: str = Field(
-        description="dotted path of the load to raise, as in a sweep, where it is the only one; `load` raises all "
+    along: str = Key(
+        "dotted path of the load to raise, as in a sweep, where it is the only one; `load` raises all "
         "in proportion; the search starts at the study's own and ends at 64 times it, or at a largest principal "
         "strain of 4, a fibre three times as long as at rest"
     )
-    thresholds: Annotated[Plains, number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")] = Field(
-        (0.05, 0.10), description="growths of the relative L2 displacement error to find"
+    thresholds: Annotated[Plains, number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")] = Key(
+        "growths of the relative L2 displacement error to find", (0.05, 0.10)
     )
 
 
 class Calibration(Table):
     """[calibration]: which loads a fit may see; the others are held out. What a study sets is not fitted"""
 
-    training: int | None = Field(
-        None, description="the first so many cases train; half of them where left out", ge=1
-    )
+    training: int | None = Key("the first so many cases train; half of them where left out", None, ge=1)
 
 
 class Uncertainty(Table):
     """[uncertainty]: the reference's own error, from meshes whose tetrahedra are split into eight"""
 
-    levels: int = Field(
+    levels: int = Key(
+        "mesh levels, the study's own included; each costs 10 to 20 times the one before",
         2,
-        description="mesh levels, the study's own included; each costs 10 to 20 times the one before",
         ge=2,
         le=MOST_LEVELS,
     )
@@ -445,53 +426,45 @@ class Uncertainty(Table):
 class Acceptance(Table):
     """[acceptance]: how far off a model may be; the verdict answers each, and no result depends on them"""
 
-    displacement_error: Share = Field(
-        0.10, description='most displacement error at full load, such as "5 %" or 0.05'
+    displacement_error: Share = Key('most displacement error at full load, such as "5 %" or 0.05', 0.10)
+    deformation_error: Share = Key("most deformation error, the error in the change of shape", 0.10)
+    largest_difference: Length | None = Key(
+        "most difference in displacement at any node; none where left out", None
     )
-    deformation_error: Share = Field(
-        0.10, description="most deformation error, the error in the change of shape"
-    )
-    largest_difference: Length | None = Field(
-        None, description="most difference in displacement at any node; none where left out"
-    )
-    frame_time: Time | None = Field(None, description="most time that a frame may take; none where left out")
+    frame_time: Time | None = Key("most time that a frame may take; none where left out", None)
 
 
 class Study(Table):
     """A whole study file, validated, in SI units."""
 
-    study: StudyInfo = Field(description="what is compared")
-    geometry: SerializeAsAny[Geometry] = Field(description="the body")
-    tissue: Tissue = Field(description="its material")
-    inclusions: tuple[Inclusion, ...] | None = Field(
-        None, description="parts of the inside with moduli of their own", strict=False, max_length=MOST_NAMES
+    study: StudyInfo = Key("what is compared")
+    geometry: SerializeAsAny[Geometry] = Key("the body")
+    tissue: Tissue = Key("its material")
+    inclusions: tuple[Inclusion, ...] | None = Key(
+        "parts of the inside with moduli of their own", None, strict=False, max_length=MOST_NAMES
     )
-    vdm: VdmTable = Field(VdmTable(), description="parameters of the VDM models")
-    regions: dict[Name, Region] = Field({}, description="named sets of surface nodes", max_length=MOST_NAMES)
-    constraints: tuple[SerializeAsAny[Constraint], ...] = Field(
-        (), description="what holds and loads the body", strict=False, max_length=MOST_NAMES
+    vdm: VdmTable = Key("parameters of the VDM models", VdmTable())
+    regions: dict[Name, Region] = Key("named sets of surface nodes", {}, max_length=MOST_NAMES)
+    constraints: tuple[SerializeAsAny[Constraint], ...] = Key(
+        "what holds and loads the body", (), strict=False, max_length=MOST_NAMES
     )
-    load: Load = Field(Load(), description="the load history")
-    gravity: Gravity | None = Field(None, description="weight")
-    environment: Environment | None = Field(None, description="surroundings")
-    anisotropy: Anisotropy | None = Field(None, description="one family of fibres")
-    sweep: Annotated[Sweep, Enters.NOTHING] = Field(Sweep(), description="what is varied")
-    inputs: Annotated[Inputs | None, Enters.CASE] = Field(None, description="how well numbers are known")
-    limits: Annotated[Limits | None, Enters.CASE] = Field(None, description="small-strain limits")
-    calibration: Annotated[Calibration | None, Enters.NOTHING] = Field(
-        None, description="how the [vdm] parameters are fitted"
+    load: Load = Key("the load history", Load())
+    gravity: Gravity | None = Key("weight", None)
+    environment: Environment | None = Key("surroundings", None)
+    anisotropy: Anisotropy | None = Key("one family of fibres", None)
+    sweep: Annotated[Sweep, Enters.NOTHING] = Key("what is varied", Sweep())
+    inputs: Annotated[Inputs | None, Enters.CASE] = Key("how well numbers are known", None)
+    limits: Annotated[Limits | None, Enters.CASE] = Key("small-strain limits", None)
+    calibration: Annotated[Calibration | None, Enters.NOTHING] = Key(
+        "how the [vdm] parameters are fitted", None
     )
-    uncertainty: Annotated[Uncertainty | None, Enters.CASE] = Field(
-        None, description="the reference's own error"
+    uncertainty: Annotated[Uncertainty | None, Enters.CASE] = Key("the reference's own error", None)
+    acceptance: Annotated[Acceptance, Enters.NOTHING] = Key("how far off a model may be", Acceptance())
+    measured: Annotated[tuple[Measured, ...] | None, Enters.CASE] = Key(
+        "what was measured on such a body", None, strict=False, max_length=MOST_TABLES
     )
-    acceptance: Annotated[Acceptance, Enters.NOTHING] = Field(
-        Acceptance(), description="how far off a model may be"
-    )
-    measured: Annotated[tuple[Measured, ...] | None, Enters.CASE] = Field(
-        None, description="what was measured on such a body", strict=False, max_length=MOST_TABLES
-    )
-    models: dict[str, Annotated[SerializeAsAny[VdmTable], WrapValidator(_of_model)]] = Field(
-        {}, description="[vdm] keys for one model only, and its own", max_length=MOST_NAMES
+    models: dict[str, Annotated[SerializeAsAny[VdmTable], WrapValidator(_of_model)]] = Key(
+        "[vdm] keys for one model only, and its own", {}, max_length=MOST_NAMES
     )
 
     _source: Source = PrivateAttr(default=Source())

@@ -12,11 +12,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, PlainValidator
+from pydantic import PlainValidator
 
 from .errors import MeshError
 from .kinds import (
     Enters,
+    Key,
     Length,
     Lengths,
     OneOf,
@@ -48,28 +49,19 @@ class Geometry(OneOf):
     packages: ClassVar[tuple[str, ...]] = ("gmsh",)  # the distributions whose version can change the mesh
     has_own_tetrahedra: ClassVar[bool] = False
 
-    shape: str = Field(description="kind of body")
-    mesh_size: Length | None = Field(
-        None, description="edge length of the mesh; only a file with tetrahedra does without"
-    )
+    shape: str = Key("kind of body")
+    mesh_size: Length | None = Key("edge length of the mesh; only a file with tetrahedra does without", None)
     slivers: (
         Annotated[Ratio, number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")]
         | None
-    ) = Field(
-        None,
-        description="any shape: squeeze one facet in twenty-five until its longest edge is so many heights",
-    )
+    ) = Key("any shape: squeeze one facet in twenty-five until its longest edge is so many heights", None)
     perturbation: (
         Annotated[
             Ratio, number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}")
         ]
         | None
-    ) = Field(
-        None, description="any shape: move each node at random by up to this share of its shortest edge"
-    )
-    seed: int | None = Field(
-        None, description="of the slivers and the perturbation, 0 where left out", ge=0, lt=2**32
-    )
+    ) = Key("any shape: move each node at random by up to this share of its shortest edge", None)
+    seed: int | None = Key("of the slivers and the perturbation, 0 where left out", None, ge=0, lt=2**32)
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -84,7 +76,7 @@ class Shape(Geometry):
     if TYPE_CHECKING:
         mesh_size: float
     else:
-        mesh_size: Length = Field(description=Geometry.model_fields["mesh_size"].description)
+        mesh_size: Length = Key(Geometry.model_fields["mesh_size"].description)
 
     def extents(self) -> Extents:
         """Along x, y and z [m]."""
@@ -96,7 +88,9 @@ class Shape(Geometry):
 
     def extent_key(self) -> str:
         """The key of the largest length."""
-        own = {key: getattr(self, key) for key in self.keys().keys() - Geometry.model_fields.keys()}
+        own = {
+            key: getattr(self, key) for key in type(self).model_fields.keys() - Geometry.model_fields.keys()
+        }
         lengths = {key: value for key, value in own.items() if not isinstance(value, str)}
         return max(
             lengths, key=lambda key: max(lengths[key]) if isinstance(lengths[key], tuple) else lengths[key]
@@ -141,7 +135,7 @@ class Sphere(_Ball):
     """a ball"""
 
     shape: Literal["sphere"]
-    radius: Length = Field(description="radius")
+    radius: Length = Key("radius")
 
     def extents(self) -> Extents:
         return (2 * self.radius,) * 3
@@ -151,7 +145,7 @@ class Ellipsoid(_Ball):
     """a ball, stretched along the axes"""
 
     shape: Literal["ellipsoid"]
-    semi_axes: Lengths = Field(description="half of its extents along x, y, z")
+    semi_axes: Lengths = Key("half of its extents along x, y, z")
 
     def extents(self) -> Extents:
         a, b, c = self.semi_axes
@@ -162,9 +156,9 @@ class HollowSphere(Solid):
     """a ball with a cavity in its middle"""
 
     shape: Literal["hollow-sphere"]
-    radius: Length = Field(description="radius")
-    cavity_radius: Length = Field(description="radius of the ball in its middle that is left out")
-    cavities: Annotated[Literal["empty", "fluid"], Enters.ANSWERS] = Field("empty", description=CAVITIES)
+    radius: Length = Key("radius")
+    cavity_radius: Length = Key("radius of the ball in its middle that is left out")
+    cavities: Annotated[Literal["empty", "fluid"], Enters.ANSWERS] = Key(CAVITIES, "empty")
 
     def extents(self) -> Extents:
         if not self.cavity_radius < self.radius:
@@ -187,7 +181,7 @@ class Box(Solid):
     """a cuboid"""
 
     shape: Literal["box"]
-    size: Lengths = Field(description="its extents along x, y, z")
+    size: Lengths = Key("its extents along x, y, z")
 
     def extents(self) -> Extents:
         return self.size
@@ -205,9 +199,9 @@ class Cylinder(Solid):
     """a round cylinder"""
 
     shape: Literal["cylinder"]
-    radius: Length = Field(description="radius")
-    length: Length = Field(description="length")
-    axis: Literal["x", "y", "z"] = Field("z", description="its axis")
+    radius: Length = Key("radius")
+    length: Length = Key("length")
+    axis: Literal["x", "y", "z"] = Key("its axis", "z")
 
     def _along(self, length: float, across: float) -> Extents:
         a, b, c = (length if name == self.axis else across for name in "xyz")
@@ -228,21 +222,18 @@ class FileBody(Geometry):
     """a mesh from a file: a surface, or tetrahedra"""
 
     shape: Literal["file"]
-    path: Annotated[Path, PlainValidator(as_path, json_schema_input_type=str)] = Field(
-        description="a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is scaled to metres and not "
-        "moved"
+    path: Annotated[Path, PlainValidator(as_path, json_schema_input_type=str)] = Key(
+        "a surface (STL, OBJ, PLY, VTP) or tetrahedra (MSH, VTU, VTK); it is scaled to metres and not moved"
     )
-    size: Length | None = Field(None, description="its largest extent")
-    scale: Ratio | None = Field(
-        None, description="metres per unit of the file, 1 where neither scale nor size is given"
+    size: Length | None = Key("its largest extent", None)
+    scale: Ratio | None = Key("metres per unit of the file, 1 where neither scale nor size is given", None)
+    cavities: Annotated[Literal["empty", "fluid"] | None, Enters.ANSWERS] = Key(
+        f"{CAVITIES}; needed where closed pieces of its surface lie inside the outer one", None
     )
-    cavities: Annotated[Literal["empty", "fluid"] | None, Enters.ANSWERS] = Field(
-        None, description=f"{CAVITIES}; needed where closed pieces of its surface lie inside the outer one"
-    )
-    repair: Literal["fill-holes", "largest-piece", "both"] | None = Field(
-        None,
-        description="close holes of a surface by facets between the nodes of their rims, keep of several pieces "
+    repair: Literal["fill-holes", "largest-piece", "both"] | None = Key(
+        "close holes of a surface by facets between the nodes of their rims, keep of several pieces "
         "the one with the most area, or both; left out, either is refused",
+        None,
     )
 
     @property
@@ -419,7 +410,7 @@ class Organ(SphereImage):
     """a procedural liver"""
 
     shape: Literal["organ"]
-    size: Length = Field(description="its largest extent")
+    size: Length = Key("its largest extent")
 
     def extents(self) -> Extents:
         a, b, c = (share * self.size for share in _EXTENTS)
