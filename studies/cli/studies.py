@@ -114,7 +114,7 @@ def check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
 
     for mesh in plan.missing_meshes(cases):
         try:
-            _ = mesh.expected
+            _ = mesh.size
         except MeshError as error:
             raise geometry_error(plan.study, error) from error
 

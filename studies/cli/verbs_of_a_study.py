@@ -185,21 +185,19 @@ def check_study(options: argparse.Namespace) -> int:
     than 20,000 nodes. What cannot run ends with exit code 2; what is a matter of judgement is a warning.
     """
     from ..study.errors import StudyError
-    from ..work.explain import beyond_memory, blockers, refused
+    from ..work.explain import beyond_memory, refused
     from ..work.scene_check import scene_problems
-    from ..work.tasks import bodies
+    from ..work.tasks import tasks_of
 
     try:
         plan = plan_of(options)
         study = plan.study
         check_files(plan, plan.cases)
-        work = bodies(plan, plan.cases)
-        if stops := blockers(plan, plan.cases, work):
+        tasks = tasks_of(plan, plan.cases)
+        if stops := beyond_memory(plan, tasks):
             raise study.error(stops)
-        expected = refused(plan, plan.cases, work)
-        doubts = scene_problems(plan)
-        tight = [(("geometry", "mesh_size"), text) for text in beyond_memory(plan, work, 1.0).values()]
-        doubts += study.error(tight).problems
+        expected = refused(plan, plan.cases)
+        doubts = scene_problems(plan) + study.error(beyond_memory(plan, tasks, 1.0)).problems
     except StudyError as error:
         if not options.json:
             raise

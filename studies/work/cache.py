@@ -1,4 +1,4 @@
-"""The cache: answers and small-strain limits as sealed files under their keys; and results made from answers."""
+"""The cache: answers as sealed files under their keys; and results made from answers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,9 +17,6 @@ from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
 from ..machine import processor_name, read_arrays, write_arrays
 from ..scene.result import ModelResult
-
-if TYPE_CHECKING:
-    from ..measures.case import SmallStrainLimits
 
 # arrays of a result that have one entry a load step
 STEPS = (
@@ -134,22 +131,3 @@ def combined(
             if all(name in answer.scalars for answer in answers)
         },
     )
-
-
-def limits_path(cache: Path, key: str) -> Path:
-    """Where the cache keeps the small-strain limits of a case."""
-    return cache / "limits" / f"{key}.npz"
-
-
-def write_limits(path: Path, found: SmallStrainLimits) -> None:
-    """Store limits under their key. Raises OSError."""
-    write_arrays(path, {"limits": np.array(json.dumps(dataclasses.asdict(found)))})
-
-
-def read_limits(path: Path) -> SmallStrainLimits | None:
-    """The limits stored at `path`; None where there are none, or they are damaged."""
-    from ..measures.case import SmallStrainLimits  # a check asks for the paths alone
-    from ..store.plain import typed
-
-    stored = read_arrays(path)
-    return None if stored is None else typed(SmallStrainLimits, json.loads(str(stored["limits"])))

@@ -12,10 +12,9 @@ import numpy as np
 
 from solver_common.arrays import Array
 
-from ..body.mesh import Mesh
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface
-from ..measures.case import CaseResult, MetricSeries, SmallStrainLimits
+from ..measures.case import CaseResult, MetricSeries
 from ..measures.measurement import Measurement, hold_against, input_spread, step_rms
 from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
 from ..measures.pushed import Answer
@@ -28,7 +27,7 @@ from ..store.plain import typed
 from ..study.files import without_folders
 from ..study.registry import REFINED
 from ..study.schema import Study
-from .cache import combined, limits_path, read_limits, steps_of, stored_answer, write_limits
+from .cache import combined, steps_of, stored_answer
 from .keys import Wanted
 from .plan import PlannedCase
 from .provenance import provenance
@@ -112,7 +111,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
             reference=reference,
             # of mesh levels, the finest first
             reference_error=own_error(surface, levels[::-1], factors) if len(levels) > 1 else {},
-            small_strain=_limits(case, mesh, payload),
+            small_strain=small_strain_limits(study, mesh) if study.limits is not None else None,
             measurement=measurement,
             inputs=spread,
             moved=mesh.moved,
@@ -152,18 +151,6 @@ def _varied_answer(case: PlannedCase, want: Wanted, stored: Stored) -> Answer:
     displacement = np.concatenate([scale * one.displacement for scale, one in steps])
     reaction = np.concatenate([scale * one.reaction_force for scale, one in steps])
     return Answer(displacement, reaction, linear=True, values=case.values)
-
-
-def _limits(case: PlannedCase, mesh: Mesh, payload: Payload) -> SmallStrainLimits | None:
-    """The case's small-strain limits, where it asks for them: those of the cache, or found and kept there."""
-    if case.limits is None:
-        return None
-    path = limits_path(Path(payload["cache"]), case.limits)
-    found = None if payload["fresh"] else read_limits(path)
-    if found is None:
-        found = small_strain_limits(case.study, mesh)
-        write_limits(path, found)
-    return found
 
 
 def compare(

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from .. import models
-from ..measures import uncertainty
 from ..study.config import case_inputs
 from ..study.kinds import Enters
 from ..study.loads import KINDS
@@ -27,7 +26,6 @@ from ..study.schema import Study, extras_for, extras_of
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
 _DIGITS = 12  # of a load beside others: less is rounding
-_LIMITS = 2  # of the rules of measures/limits.py, one more where a limit changes
 # of a set-up's inputs those that enter its key by what reads them; any other enters whole
 _BY_PARTS = (
     "tissue",
@@ -126,15 +124,6 @@ def _wanted(study: Study, steps: Sequence[Mapping[str, float]], name: str, level
         body,
         tuple(key(load if scale else acting) for load, scale in sized),
         tuple(scale for _, scale in sized),
-    )
-
-
-def limits_key(study: Study, case: str) -> str | None:
-    """Key of the small-strain limits of a case, by its hash; None where it asks for none."""
-    return (
-        _digest({"limits": case, "bars": uncertainty.VERSION, "rules": _LIMITS})
-        if study.limits is not None
-        else None
     )
 
 

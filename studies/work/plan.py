@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, TypeVar
-
-import numpy as np
-
-from solver_common.arrays import Array
+from typing import Any
 
 from .. import models
-from ..body.mesh import Mesh
-from ..body.mesh_cache import mesh_path
+from ..body.mesh_cache import mesh_path, read_mesh
 from ..machine import is_sound, plain
 from ..study.config import ResolvedCase, geometry_error, resolved
 from ..study.errors import MeshError
@@ -30,9 +25,7 @@ from ..study.shapes import (
     geometry_key,
 )
 from ..study.sweep import variations
-from .keys import Wanted, case_hash, limits_key, wanted
-
-T = TypeVar("T")
+from .keys import Wanted, case_hash, wanted
 
 
 @dataclass(frozen=True)
@@ -58,11 +51,6 @@ class PlannedCase:
         return tuple(want for want in found if want.level == 0 or not self.values)
 
     @cached_property
-    def limits(self) -> str | None:
-        """Key of its small-strain limits."""
-        return limits_key(self.study, self.hash)
-
-    @cached_property
     def variations(self) -> tuple[PlannedCase, ...]:
         """Where its inputs are not known: other values of them."""
         if self.study.inputs is None or self.values:
@@ -85,31 +73,13 @@ class PlannedCase:
 
 
 @dataclass(frozen=True)
-class Expected:
-    """A mesh's size, its body's box (3,) (3,) [m], and how far it may reach beyond [m]."""
-
-    size: Size
-    low: Array
-    high: Array
-    reach: float
-
-    @classmethod
-    def of_mesh(cls, mesh: Mesh, *, volume: bool = True) -> Expected:
-        """Of a mesh that is there; distortions move a node by an edge at most."""
-        points = mesh.surface_points
-        corners = points[mesh.triangles]
-        reach = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max()
-        size = Size(float(len(points)), float(len(mesh.tetrahedra) if volume else 0))
-        return cls(size, points.min(axis=0), points.max(axis=0), float(reach))
-
-
-@dataclass(frozen=True)
 class PlannedMesh:
     """A mesh that one or more cases need."""
 
     key: str
     geometry: Geometry
     volume: bool
+    path: Path  # where the cache keeps it
     file_hash: str = ""  # SHA-256 of the file that the body is from; "" of a built-in shape
 
     @property
@@ -122,8 +92,8 @@ class PlannedMesh:
         return f"mesh of {name}" + ("" if geometry.slivers or geometry.perturbation else " as it is")
 
     @cached_property
-    def expected(self) -> Expected:
-        """What it will be, about; a file is read for it, and checked on the way.
+    def size(self) -> Size:
+        """What it is, or about what it will be; a file is read for it, and checked on the way.
 
         Raises
         ------
@@ -131,24 +101,22 @@ class PlannedMesh:
             a file that cannot be used.
         """
         geometry = self.geometry
-        mesh_size = geometry.mesh_size or 0.0
-        if isinstance(geometry, Shape):
+        mesh = read_mesh(self.path)
+        if mesh is None and isinstance(geometry, Shape):
             area, inside = geometry.area_and_volume()
-            high = np.array(geometry.extents()) / 2.0
-            centre = np.zeros(3)
-        else:
+        elif mesh is None:
             assert isinstance(geometry, FileBody)
             from ..body.imported import imported_surface, imported_tetrahedra, named
 
             with named(geometry):
                 if geometry.has_own_tetrahedra:
                     mesh = imported_tetrahedra(geometry)
-                    return Expected.of_mesh(mesh, volume=self.volume)
-                surface = imported_surface(geometry, volume=self.volume)
-            area, inside = surface.area, surface.volume
-            high, centre = surface.points.max(axis=0), surface.centre
-        size = Size(*expected_size(area, inside if self.volume else 0.0, mesh_size))
-        return Expected(size, centre - high, centre + high, mesh_size)
+                else:
+                    surface = imported_surface(geometry, volume=self.volume)
+                    area, inside = surface.area, surface.volume
+        if mesh is not None:
+            return Size(float(len(mesh.surface_points)), float(len(mesh.tetrahedra) if self.volume else 0))
+        return Size(*expected_size(area, inside if self.volume else 0.0, geometry.mesh_size or 0.0))
 
 
 @dataclass(frozen=True)
@@ -191,28 +159,17 @@ class Plan:
 
     def has(self, path: Path) -> bool:
         """Whether the cache has a file that may be used."""
-        return not self.fresh and self._is_sound(path)
+        return not self.fresh and self.is_sound(path)
 
     @cached_property
-    def _is_sound(self) -> Callable[[Path], bool]:
+    def is_sound(self) -> Callable[[Path], bool]:
         """`is_sound`, which reads a file, of each file once: many cases share one, and a plan is of one moment."""
         return cache(is_sound)
-
-    def remembered(self, asked: Hashable, work: Callable[[], T]) -> T:
-        """What `work` gives, done once for a plan: a pure function of the plan and of what is asked."""
-        if asked not in self._known:
-            self._known[asked] = work()
-        found: T = self._known[asked]
-        return found
-
-    @cached_property
-    def _known(self) -> dict[Hashable, Any]:
-        return {}
 
     def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
         """The meshes that these cases need and the cache does not hold."""
         keys = dict.fromkeys(case.mesh for case in cases)
-        return [self.meshes[key] for key in keys if not self._is_sound(mesh_path(self.cache, key))]
+        return [self.meshes[key] for key in keys if not self.is_sound(self.meshes[key].path)]
 
     def case_file(self, case: PlannedCase) -> Path:
         """Where the case is kept once it is done."""
@@ -244,7 +201,7 @@ def make_plan(
         asked = f"{geometry!r} {volume}"
         if asked not in found:
             try:
-                found[asked] = _planned_mesh(geometry, volume)
+                found[asked] = _planned_mesh(geometry, volume, cache)
             except MeshError as error:
                 raise geometry_error(study, error) from error
         about = case.label, case.swept, case.swept_units, case.study
@@ -253,12 +210,13 @@ def make_plan(
     return Plan(study, tuple(planned), meshes, directory, cache, command, fresh)
 
 
-def _planned_mesh(geometry: Geometry, volume: bool) -> PlannedMesh:
+def _planned_mesh(geometry: Geometry, volume: bool, cache: Path) -> PlannedMesh:
     if isinstance(geometry, Shape):  # the size of a file is known only once it is read
         area, inside = geometry.area_and_volume()
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size)
     file_hash = file_digest(geometry.path) if isinstance(geometry, FileBody) else ""
-    return PlannedMesh(geometry_key(geometry, volume=volume), geometry, volume, file_hash)
+    key = geometry_key(geometry, volume=volume)
+    return PlannedMesh(key, geometry, volume, mesh_path(cache, key), file_hash)
 
 
 def needs_volume(study: Study) -> bool:

@@ -26,14 +26,14 @@ from ..store.run_directory import (
     write_failure,
     write_plan,
 )
-from ..study.config import geometry_error, resolved
-from ..study.errors import InputError, MeshError
+from ..study.config import resolved
+from ..study.errors import InputError
 from ..study.files import text_without_folders, without_folders
 from ..study.units import shown
 from .explain import beyond_memory, summary
 from .plan import Plan, PlannedCase
 from .pool import Pool, local_pool, run_tasks
-from .tasks import Task, bodies, case_payload, tasks_of
+from .tasks import Task, case_payload, tasks_of
 from .worker import Said
 
 Finish = Callable[[Path], tuple[Run, Path]]
@@ -95,8 +95,9 @@ def run_plan(
     cases = plan.cases_to_run(options.shard)
     with _locked(plan.directory, options.shard):
         _check_study(plan)
+        tasks = tasks_of(plan, cases)
         if options.scheduler is None:
-            _check_memory(plan, cases, watch)
+            _check_memory(plan, tasks, watch)
         _tidy(plan)
         texts = {
             STUDY: text_without_folders(study_text).encode(),
@@ -114,7 +115,7 @@ def run_plan(
         try:
             if cases or timed:
                 with _pool(plan, options) as pool:
-                    used = _run_missing(plan, cases, options, watch, pool)
+                    used = _run_missing(plan, tasks, options, watch, pool)
                     _time_frames(plan, cases, options, watch, pool)
         finally:  # workers may have been killed while they wrote, by an interruption too
             _tidy(plan)
@@ -155,20 +156,18 @@ def _check_study(plan: Plan) -> None:
             )
 
 
-def _check_memory(plan: Plan, cases: Sequence[PlannedCase], watch: Callable[[Event], None]) -> None:
+def _check_memory(plan: Plan, tasks: Sequence[Task], watch: Callable[[Event], None]) -> None:
     """Raises StudyError where a case needs far more memory than there is; tells where it may be too much."""
-    work = bodies(plan, cases)
-    for sentence in beyond_memory(plan, work, 1.0).values():
+    for _, sentence in beyond_memory(plan, tasks, 1.0):
         watch(Event("told", plan.study.study.name, message=f"warning: {sentence}"))
-    for key, sentence in beyond_memory(plan, work).items():
-        own = plan.meshes[key].geometry.has_own_tetrahedra
-        raise geometry_error(plan.study, MeshError(sentence, "path" if own else "mesh_size"))
+    if stops := beyond_memory(plan, tasks):
+        raise plan.study.error(stops)
 
 
 def _tidy(plan: Plan) -> None:
     """Clear away what runs that were killed left half-written, here and in the shared cache."""
     directories = (plan.directory, plan.directory / "cases", plan.directory / "failed")
-    for directory in (*directories, *(plan.cache / kind for kind in ("meshes", "answers", "limits"))):
+    for directory in (*directories, *(plan.cache / kind for kind in ("meshes", "answers"))):
         clear_abandoned(directory)
     clear_abandoned(plan.directory / "failed", ".log")
 
@@ -189,21 +188,18 @@ def _pool(plan: Plan, options: Options) -> Iterator[Pool]:
 
 def _run_missing(
     plan: Plan,
-    cases: Sequence[PlannedCase],
+    tasks: Sequence[Task],
     options: Options,
     watch: Callable[[Event], None],
     pool: Pool,
 ) -> float:
     """Do the tasks; returns the seconds of processor that they took."""
-    if options.scheduler is not None:  # whose workers run elsewhere
-        plan = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
-    tasks = tasks_of(plan, cases)
     watch(Event("begun", plan.study.study.name, count=len(tasks)))
     used = 0.0
     for task, said in run_tasks(
         tasks,
         pool,
-        plan.directory / "failed",
+        plan.directory.absolute() / "failed",
         timeout=options.timeout,
         started=lambda task: watch(Event("started", task.label)),
         where=lambda task, line: watch(Event("at", task.label, message=line)),
@@ -236,9 +232,8 @@ def _time_frames(
     first = {case.mesh: case for case in reversed(asked) if plan.case_file(case).exists()}
     if not first:
         return
-    there = dataclasses.replace(plan, directory=plan.directory.absolute(), cache=plan.cache.absolute())
-    items = [case_payload(case, there) for case in reversed(first.values())]
-    payload = {"directory": str(there.directory), "every": every, "items": items}
+    items = [case_payload(case, plan) for case in reversed(first.values())]
+    payload = {"directory": str(plan.directory.absolute()), "every": every, "items": items}
     task = Task("times", "times", "times of a frame", payload, frozenset())
     watch(Event("started", task.label))
     for _, said in run_tasks([task], pool, plan.directory.absolute() / "failed", timeout=options.timeout):

@@ -61,8 +61,8 @@ def scene_of(plan: Plan, case: PlannedCase) -> Scene:
 def _surface(plan: Plan, case: PlannedCase, most: float = MOST_NODES, *, keep: bool = True) -> Mesh | None:
     """The case's mesh, of one that is not there the surface alone; None where that would take long."""
     planned = plan.meshes[case.mesh]
-    cached = read_mesh(mesh_path(plan.cache, planned.key))
-    if cached is not None or planned.expected.size.nodes > most:
+    cached = read_mesh(planned.path)
+    if cached is not None or planned.size.nodes > most:
         return cached
     try:
         path = mesh_path(plan.cache, geometry_key(planned.geometry, volume=False))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ class Task:
     Attributes
     ----------
     id : its key
-    kind : which function of `vdmbench.work.worker` does it: "mesh", "level", "answers", "case" or "times"
+    kind : which function of `vdmbench.work.worker` does it: "mesh", "answers", "case" or "times"
     label : what to call it
     payload : what that function is given, plain JSON
     needs : ids of the tasks to be done before
@@ -37,88 +37,40 @@ class Task:
     case: PlannedCase | None = None
 
 
-@dataclass(frozen=True)
-class Asked:
-    """One answer that is missing: its key, the case that stands for all that want it, and its load factors."""
-
-    key: str
-    case: PlannedCase
-    factors: tuple[float, ...]
-
-
-@dataclass(frozen=True)
-class Body:
-    """One set-up and the answers that are asked of it."""
-
-    name: str
-    level: int
-    key: str
-    mesh: str
-    asked: tuple[Asked, ...]
-
-    @property
-    def id(self) -> str:
-        """Key of the task: a body is set up once in a run."""
-        return f"answers {self.key} {self.asked[0].key if not self.superposes else ''}".strip()
-
-    @property
-    def superposes(self) -> bool:
-        """Whether its answers are of one load each, and not load paths."""
-        return len(self.asked[0].factors) == 1 and bool(self.asked[0].case.want(self.name, self.level).scales)
-
-
-def bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
-    """The set-ups that these cases need, each with the answers that the cache has not; a load path has its own."""
-    return plan.remembered(("bodies", *(case.hash for case in cases)), lambda: _bodies(plan, cases))
-
-
-def _bodies(plan: Plan, cases: Sequence[PlannedCase]) -> list[Body]:
-    found: dict[str, tuple[str, int, str, str]] = {}
-    asked: dict[str, dict[str, Asked]] = {}
-    for case in (part for one in cases for part in one.parts):
-        for want in case.wanted:
-            for key, factors in _factors(case, want):
-                if plan.has(answer_path(plan.cache, key)):
-                    continue
-                of = want.body if want.scales else f"{want.body} {key}"
-                found.setdefault(of, (want.name, want.level, want.body, case.mesh))
-                asked.setdefault(of, {}).setdefault(key, Asked(key, case, factors))
-    return [Body(*about, tuple(asked[of].values())) for of, about in found.items()]
-
-
 def tasks_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[Task]:
-    """The tasks that these cases need and whose files are not there, each after those that it needs."""
-    tasks: list[Task] = []
-    there: dict[str, str] = {}  # file's key -> task that makes it
+    """The tasks that these cases need and whose files are not there, each after those that it needs.
 
-    def add(kind: str, identity: str, label: str, of: PlannedCase, needs: Iterable[str], **own: Any) -> None:
-        made = frozenset(there[need] for need in needs if need in there)
-        payload = case_payload(of, plan) | own
-        tasks.append(Task(identity, kind, label, payload, made, of if kind == "case" else None))
-
+    A mesh goes with its refinements; answers with one set-up and all that the cache has not of it, a load path with
+    a set-up of its own.
+    """
+    set_ups = _set_ups(plan, cases)
+    levels = dict.fromkeys((case.mesh for case in cases), 0)  # mesh -> how often it is refined
+    for found in set_ups.values():
+        levels[found.case.mesh] = max(levels[found.case.mesh], found.want.level)
     on_mesh = {case.mesh: case for case in reversed(cases)}
-    for mesh in plan.missing_meshes(cases):
-        there[mesh.key] = f"mesh {mesh.key}"
-        add("mesh", there[mesh.key], mesh.label, on_mesh[mesh.key], ())
-    found = bodies(plan, cases)
-    for mesh_key, level in dict.fromkeys((body.mesh, k) for body in found for k in range(1, body.level + 1)):
-        key = level_key(mesh_key, level)
-        if not plan.has(mesh_path(plan.cache, key)):
-            label = f"{plan.meshes[mesh_key].label}, refined" + (f" {level} times" if level > 1 else "")
-            coarser = [level_key(mesh_key, k) for k in range(level)]
-            add("level", f"mesh {key}", label, on_mesh[mesh_key], coarser, level=level)
-            there[key] = f"mesh {key}"
-    for body in found:
+    tasks = []
+    for mesh, level in levels.items():
+        if not all(plan.is_sound(mesh_path(plan.cache, level_key(mesh, k))) for k in range(level + 1)):
+            label = plan.meshes[mesh].label + (", refined" if level else "")
+            payload = case_payload(on_mesh[mesh], plan) | {"level": level}
+            tasks.append(Task(f"mesh {mesh}", "mesh", label, payload, frozenset()))
+    for key, found in set_ups.items():
+        name, level, mesh = found.want.name, found.want.level, found.case.mesh
         asked = [
-            {"key": one.key, "study": resolved(one.case.study), "factors": one.factors} for one in body.asked
+            {"key": answer, "study": resolved(case.study), "factors": factors}
+            for answer, (case, factors) in found.asked.items()
         ]
-        needs = [level_key(body.mesh, k) for k in range(body.level + 1)]
-        own = {"name": body.name, "level": body.level, "asked": asked}
-        add("answers", body.id, _answers_label(body), body.asked[0].case, needs, **own)
-        there |= {one.key: body.id for one in body.asked}
+        payload = case_payload(found.case, plan) | {"name": name, "level": level, "asked": asked}
+        label = f"{name}{' refined' if level else ''}"
+        told = f"{len(asked)} loads" if len(asked) > 1 else found.case.label
+        label = ", ".join(filter(None, (label, told)))
+        tasks.append(Task(key, "answers", label, payload, frozenset({f"mesh {mesh}"})))
+    made_by = {answer: key for key, found in set_ups.items() for answer in found.asked}
     for case in cases:
-        keys = [key for part in case.parts for want in part.wanted for key in want.answers]
-        add("case", case.hash, case.label or plan.study.study.name, case, [case.mesh, *keys])
+        answers = (key for part in case.parts for want in part.wanted for key in want.answers)
+        needs = {f"mesh {case.mesh}", *(made_by[key] for key in answers if key in made_by)}
+        label = case.label or plan.study.study.name
+        tasks.append(Task(case.hash, "case", label, case_payload(case, plan), frozenset(needs), case))
     return tasks
 
 
@@ -126,13 +78,32 @@ def case_payload(case: PlannedCase, plan: Plan) -> dict[str, Any]:
     """What a task is told of a case and its mesh, plain JSON."""
     mesh = plan.meshes[case.mesh]
     return {
-        "cache": str(plan.cache),
-        "path": str(plan.case_file(case)),
-        "fresh": plan.fresh,
+        "cache": str(plan.cache.absolute()),
+        "path": str(plan.case_file(case).absolute()),
         "case": case.as_json(),
         "volume": mesh.volume,
         "file_hash": mesh.file_hash,
     }
+
+
+@dataclass(frozen=True)
+class _SetUp:
+    """The first case that wants a set-up, and what is asked of it: key -> a case that wants it, load factors."""
+
+    case: PlannedCase
+    want: Wanted
+    asked: dict[str, tuple[PlannedCase, tuple[float, ...]]]
+
+
+def _set_ups(plan: Plan, cases: Sequence[PlannedCase]) -> dict[str, _SetUp]:
+    found: dict[str, _SetUp] = {}
+    for case in (part for one in cases for part in one.parts):
+        for want in case.wanted:
+            for key, factors in _factors(case, want):
+                if not plan.has(answer_path(plan.cache, key)):
+                    own = f"answers {want.body}" + ("" if want.scales else f" {key}")
+                    found.setdefault(own, _SetUp(case, want, {})).asked.setdefault(key, (case, factors))
+    return found
 
 
 def _factors(case: PlannedCase, want: Wanted) -> Iterator[tuple[str, tuple[float, ...]]]:
@@ -144,10 +115,3 @@ def _factors(case: PlannedCase, want: Wanted) -> Iterator[tuple[str, tuple[float
     for key, factor, scale in zip(want.answers, history, want.scales, strict=True):
         if scale or not any(want.scales):  # a step without load is no times another
             yield key, (factor / scale if scale and not has_weight(case.study) else factor,)
-
-
-def _answers_label(body: Body) -> str:
-    count = f", {len(body.asked)} loads" if len(body.asked) > 1 else ""
-    label = body.asked[0].case.label if count == "" else ""
-    level = " refined" if body.level else ""
-    return f"{body.name}{level}{count}" + (f", {label}" if label else "")

@@ -80,14 +80,15 @@ def do_task(text: str) -> str:
 
 
 def _mesh(payload: Payload) -> None:
-    """Put one mesh into the cache."""
-    mesh_from_cache(*_geometry(payload), volume=payload["volume"])
-
-
-def _level(payload: Payload) -> None:
-    """Put the refinement of a mesh into the cache."""
-    path = mesh_path(Path(payload["cache"]), level_key(payload["case"]["mesh"], payload["level"]))
-    write_mesh(path, *refine(_meshes(payload, payload["level"] - 1).finest))
+    """Put a mesh and its refinements into the cache, those that it has not."""
+    mesh = mesh_from_cache(*_geometry(payload), volume=payload["volume"])
+    for level in range(1, payload["level"] + 1):
+        path = mesh_path(Path(payload["cache"]), level_key(payload["case"]["mesh"], level))
+        found = read_level(path)
+        if found is None:
+            found = refine(mesh)
+            write_mesh(path, *found)
+        mesh = found[0]
 
 
 def _answers(payload: Payload) -> None:
@@ -157,7 +158,6 @@ def _slow(case: PlannedCase, cache: Path) -> set[str]:
 
 _KINDS: dict[str, Callable[[Payload], None]] = {
     "mesh": _mesh,
-    "level": _level,
     "answers": _answers,
     "case": _case,
     "times": _times,

@@ -23,7 +23,7 @@ CASES: dict[str, tuple[list[tuple[str, str]], int, str]] = {
     "a region off the body": (
         [(FINGER, 'ball = { center = [0, 0, 1], radius = "20 mm" }')],
         2,
-        "small.toml:19: regions.finger: region 'finger' lies off the body",
+        "small.toml:19: regions.finger: region 'finger' selects no node of the mesh: the body has x from",
     ),
     "a support that the body does not reach": (
         [(BASE, 'below = { axis = "z", value = "-60 mm" }')],

@@ -24,7 +24,7 @@ from vdmbench.store.cases import read_case
 from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
 from vdmbench.work.plan import Plan, PlannedCase, make_plan
-from vdmbench.work.tasks import bodies
+from vdmbench.work.tasks import tasks_of
 
 BASE = {"kind": "fixed", "region": "base"}
 FINGER = {"name": "finger", "kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"}
@@ -106,8 +106,9 @@ def scene_of(plan: Plan, case: PlannedCase) -> Scene:
 
 def planned_work(plan: Plan, *names: str) -> dict[str, int]:
     """Set-ups and solves of some models that a plan counts."""
-    found = [body for body in bodies(plan, plan.cases_to_run()) if not names or body.name in names]
-    solves = sum(len(asked.factors) for body in found for asked in body.asked)
+    asked = [task.payload for task in tasks_of(plan, plan.cases_to_run()) if task.kind == "answers"]
+    found = [one["asked"] for one in asked if not names or one["name"] in names]
+    solves = sum(len(answer["factors"]) for one in found for answer in one)
     return {"set-ups": len(found), "solves": solves}
 
 

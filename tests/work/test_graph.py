@@ -18,7 +18,7 @@ from vdmbench.measures import metrics
 from vdmbench.store.cases import read_case
 from vdmbench.work.pool import local_pool, run_tasks
 from vdmbench.work.run import Event, Options, _run_missing
-from vdmbench.work.tasks import bodies, tasks_of
+from vdmbench.work.tasks import tasks_of
 
 from . import shared_work
 from .shared_work import (
@@ -112,7 +112,8 @@ def test_a_further_model_costs_that_model(tmp_path: Path, cache: Path, made: Cou
     made.clear()
     study = TABLES["study"] | {"models": ["vdm-vector", "vdm-paper", "fem-linear"]}
     plan = plan_of(tmp_path, cache, study=study)
-    assert {body.name for body in bodies(plan, plan.cases)} == {"vdm-paper"}
+    found = tasks_of(plan, plan.cases)
+    assert [task.payload["name"] for task in found if task.kind == "answers"] == ["vdm-paper"]
     after = run(plan)
     assert made == {"vdm set-ups": 1, "vdm solves": 2}
     for a, b in zip(after, before, strict=True):
@@ -251,6 +252,6 @@ def test_shards_have_each_case_once(tmp_path: Path, cache: Path) -> None:
 
 def test_a_run_says_before_it_begins_how_much_there_is_to_tell(tmp_path: Path, cache: Path) -> None:
     plan, events = plan_of(tmp_path, cache, **ALONE), list[Event]()
-    _run_missing(plan, plan.cases_to_run(), Options(jobs=1), events.append, HerePool())
+    _run_missing(plan, tasks_of(plan, plan.cases), Options(jobs=1), events.append, HerePool())
     assert [event.kind for event in events].index("begun") == 0
     assert events[0].count == sum(event.kind in ("done", "failed", "stopped") for event in events) > 4
