@@ -14,6 +14,7 @@ from fem_reference.outputs import strain_below
 from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.surface_stretch import BIOT, CREASE, most_compressed
 from solver_common.arrays import Array
+from solver_common.solution import ENDED
 
 OUTPUTS = {
     "condition_estimate": "condition number of the scaled tangent's symmetric part in that state, see"
@@ -121,11 +122,8 @@ class Record:
         """Why a load step failed: what became of the iterations, and what the last state in equilibrium shows."""
         if attempt.code == _TOO_SMALL.code:
             return _TOO_SMALL
-        told = (
-            f"{_FAILURES[attempt.code]} beyond {reached:.4g} of load step {number}"
-            f" (after {len(attempt.residuals) - 1} iterations the relative residual was"
-            f" {attempt.residuals[-1]:.1e})"
-        )
+        iterations, residual = len(attempt.residuals) - 1, attempt.residuals[-1]
+        told = ENDED.format(_FAILURES[attempt.code], reached, number, iterations, residual)
         u = self._converged.state.displacement
         if attempt.code == "passed" or not u.any():
             return Status(attempt.code, told, _REMEDY)

@@ -25,6 +25,7 @@ class Status:
 
 
 CONVERGED = Status("converged")
+ENDED = "{} beyond {:.4g} of load step {} (after {} iterations the relative residual was {:.1e})"
 
 
 class SolverError(ValueError):

@@ -190,7 +190,8 @@ class Model:
         audited: `scalars["relative_residual"]`, and a status other than converged where it cannot be relied on.
         With the quasi-linear solver `scalars["path_error"]` is the share of the largest displacement so far that is
         owed to the load steps on the way; beyond 1e-3 the status, still converged, says so and what to do.
-        `scalars["load_factor"]`, there where a step failed, is the share of the way to each step that was reached.
+        `scalars["load_factor"]`, there where a step of the nonlinear solver failed, is the share of the way to each
+        step that was reached; the step holds the last state on that way.
         Of a form of boundary integrals `scalars["mesh_error"]` is what its mesh leaves open, and at large rotations
         `scalars["shape_error"]` too; see `vdm.mesh_error`.
         A body in parts has twice as many where its answers ask for it, and is solved anew; that time is set-up's.
@@ -246,7 +247,7 @@ class Model:
                 reached[k] = step.reached
             pressure[k], iterations[k], residual[k] = step.pressure_change, step.iterations, found.residual
             path_error[k], (mesh_error[k], shape_error[k]) = found.path, self._of_mesh(load, step)
-            told.append(self.solver.scalars(load, step) if isinstance(self.solver, PartsSolver) else {})
+            told.append(self.solver.scalars(step) if isinstance(self.solver, PartsSolver) else {})
             apart = told[-1].get("parts_error", np.nan)
             errors = (bending, mesh_error[k], self._solved.formulation, apart, shape_error[k])
             status.append(reserved(last.status, *errors))

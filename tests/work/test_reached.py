@@ -13,7 +13,7 @@ from tests.command import vdmbench, write_study
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.refine import Hierarchy
 from vdmbench.measures.case import CaseResult
-from vdmbench.models.model import run_model
+from vdmbench.models.model import Prepared, run_model
 from vdmbench.report.headline import summary
 from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_run
@@ -116,11 +116,13 @@ def test_boundary_elements_and_their_reference_are_compared_where_either_ends(tm
     study = load_study(_written(tmp_path, [0.1, 1.0]))
     mesh = build_mesh(study.geometry)
     scene, names = build_scene(study, mesh), ("bem:nonlinear", "fem")
-    found = [(Wanted(name, 0, "", (), ()), run_model(scene, name)) for name in names]
+    wanted = [Wanted(name, 0, "", (), ()) for name in names]
+    found = [(want, Prepared(scene, want.name, 2).answer(scene.loads, ends=True)) for want in wanted]
     places, merged = at_what_was_reached(study, scene, found, lambda _: Hierarchy((mesh,)))
     first, reference, boundary, last = places.tolist()
     assert (first, last) == (1.0, 2.0)
     assert 1.0 < reference < boundary < 2.0
+    assert [1.0 + result.scalars["load_factor"][1] for _, result in found] == [boundary, reference]
     answered = {want.name: [status.ok for status in result.status] for want, result in merged}
     assert answered == {"bem:nonlinear": [True, True, True, False], "fem": [True, True, False, False]}
     for place, end in ((1, reference), (2, boundary)):

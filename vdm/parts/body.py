@@ -245,7 +245,7 @@ class Parts:
             on_surface = on_surface - weight[:n_surface, None] * outer.area_vectors
         energy = 0.5 * float(np.vdot(away, forces))
         acting = _Acting(load, state, turns, away, energy, on_surface, weight, rise, filled)
-        return Balance(x, pressure, gap, internal - applied, scale, acting)
+        return Balance(load, x, pressure, gap, internal - applied, scale, acting)
 
     def _each(self) -> Iterator[tuple[Part, slice]]:
         """Parts, and where their nodes are among those of all."""

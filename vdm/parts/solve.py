@@ -146,17 +146,20 @@ class PartsSolver:
         """See `Solution.part_of_node`."""
         return self.body.owner + 1 if self.body.n_parts > 1 else None
 
-    def scalars(self, load: Load, step: Step) -> dict[str, float]:
+    def scalars(self, step: Step) -> dict[str, float]:
         """What is told of a step beside its displacement: see `Parts.scalars`, and `parts_error`.
 
-        That is the distance to the answer of twice the parts, over its size, by area; NaN where that was not found.
+        That is the distance to the answer of twice the parts under the load that was reached, over its size, by
+        area; NaN where that answer was not found.
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return {}
         found = self.body.scalars(step.balance)
         if self._finer is None:
             return found
-        self._finer_step = self._finer.step(load, self._finer_step)
+        self._finer_step = self._finer.step(step.balance.load, self._finer_step)
+        if not self._finer_step.status.ok:
+            return {**found, "parts_error": np.nan}
         area = self._whole.formulation.surface.nodal_areas[:, None]
         other = self._finer_step.displacement
         size = float(np.sqrt((area * other**2).sum()))

@@ -90,7 +90,9 @@ class Unloaded(Parts):
             lacking[:n_surface] -= springs.reshape(-1, 3)
         held, filled = self._cavities(rest)
         gap = np.append(rest.volumes(self._first_facet), held) / self.volumes - 1.0
-        return Balance(x, pressure, gap, lacking, seen.scale, _Resting(seen, rest, back, placed, filled))
+        return Balance(
+            load, x, pressure, gap, lacking, seen.scale, _Resting(seen, rest, back, placed, filled)
+        )
 
     def correction(
         self,
@@ -218,7 +220,7 @@ class Unloading:
         self._solver.body = Unloaded(solver.body, self.seen)
         step = self._solver.step(self._load, self._step)
         assert isinstance(step, DeformedStep)
-        if step.balance is None:
+        if step.balance is None or not step.status.ok:
             raise SolverError(Status("no-rest-shape", NO_REST_SHAPE.format(100 * step.reached), REMEDY))
         self._step = step
         # from there under its load the body comes back

@@ -10,10 +10,11 @@ import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
 from solver_common.progress import Progress, tell
+from solver_common.solution import ENDED
 from vdm.constraints import Load
 from vdm.deformed import best_rotation
 from vdm.problem import Problem, Step
-from vdm.solution import Status
+from vdm.solution import CONVERGED, Status
 from vdm.solvers.anderson import Anderson
 from vdm.solvers.audit import ERROR_LIMIT, Audit
 from vdm.solvers.linear import BorderedFactor
@@ -39,9 +40,6 @@ VOLUME_TOLERANCE = 1e-13  # of |V - V0| / V0
 NEAR = 0.02
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
-NOT_CONVERGED = (
-    "the nonlinear balance was not found beyond {reached:.0f} % of this load step, halved six times"
-)
 REMEDY = "use smaller load steps, a smaller load or a stiffer material; a body may snap through there"
 
 
@@ -51,6 +49,7 @@ class Balance:
 
     Attributes
     ----------
+    load : that acts
     x : (n, d) unknowns
     pressure : (m,) [Pa]
     gap : (m,) change of each volume that is kept, over its size at rest
@@ -59,6 +58,7 @@ class Balance:
     parts : of the body, what its own correction reads again
     """
 
+    load: Load
     x: Array
     pressure: Array
     gap: Array
@@ -129,7 +129,7 @@ class Whole:
         applied = problem.deformed_force(load, state, column) + float(pressure[0]) * column
         scale = max(float(np.linalg.norm(internal[nodes])), float(np.linalg.norm(applied[nodes])))
         gap = problem.formulation.kept_volume(x, state) / self.rest_volume - 1.0
-        return Balance(x, pressure, np.array([gap]), internal - applied, scale, (state, column, row))
+        return Balance(load, x, pressure, np.array([gap]), internal - applied, scale, (state, column, row))
 
     def correction(self, balance: Balance, lacking: Array, gap: Array, turn: Array) -> tuple[Array, Array]:
         nodes = self._free_nodes
@@ -173,8 +173,9 @@ class DeformedStep(Step):
     ----------
     lacking : (n_held, d) generalised force that the supports give, internal less applied [N]
     stored : elastic energy [J]
-    balance : of all nodes of the body, None of a failed step and where a solver has none
-    reached : share of the way to its load at which a balance was last found
+    balance : of all nodes of the body, of a failed step the last one on the way to its load; None where a solver
+        has none
+    reached : share of the way to its load at which that is
     """
 
     lacking: Array = field(repr=False)
@@ -200,8 +201,9 @@ class NonlinearSolver:
     The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
     slope of the state itself, near the balance, or once a step by it alone failed, Anderson acceleration mixes the
     corrections, also by what the last loads told of the slope. A last shift closes the volumes to rounding. A load
-    step starts from the last converged one and is halved where it fails; nothing of a failed step is kept. Where
-    the held nodes are moved, the body starts carried along as they are, best fit by a rigid motion.
+    step starts from the last converged one and is halved where it fails; one that failed holds the last balance on
+    the way to its load, and the next step starts where it did. Where the held nodes are moved, the body starts
+    carried along as they are, best fit by a rigid motion.
 
     Parameters
     ----------
@@ -243,7 +245,7 @@ class NonlinearSolver:
 
     def begin_near(self, load: Load, x: Array, pressure: Array) -> None:
         """Start histories from the balance under a load that is found from a state near it, if one is."""
-        found, _ = self._solve(load, x, pressure, (0.0, 1.0))
+        found, _, _ = self._solve(load, x, pressure, (0.0, 1.0))
         if found is not None:
             self.begin_at(load, found.x, found.pressure)
 
@@ -258,11 +260,13 @@ class NonlinearSolver:
             self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
         last = self._path[-1]
         x, pressure = self._ahead(load)
-        reached, width, iterations = 0.0, 1.0, 0
+        reached, width, iterations, used, lacking = 0.0, 1.0, 0, 0, np.inf
         balance: Balance | None = None
         while reached < 1.0:
             target = min(reached + width, 1.0)
-            found, used = self._solve(_between(last.load, load, target), x, pressure, (reached, target))
+            found, used, lacking = self._solve(
+                _between(last.load, load, target), x, pressure, (reached, target)
+            )
             iterations += used
             if found is None and not self._mixes:  # the slope misses what strains within: that is learnt
                 self._mixes, self._anderson = True, Anderson(HISTORY)
@@ -277,25 +281,35 @@ class NonlinearSolver:
                     break
                 continue
             balance, x, pressure, reached = found, found.x, found.pressure, target
-        if balance is None or reached < 1.0:
-            return self._failed(reached, iterations)
-        self._path = [*self._path[1 - MOST_STATES :], _Converged(load, x, pressure)]
+        if balance is None:
+            balance = self.body.balance(last.load, last.x, last.pressure)
+        status = CONVERGED
+        if reached < 1.0:
+            why = ENDED.format("the nonlinear balance was not found", reached, self._number, used, lacking)
+            status = Status("not-converged", why, REMEDY)
+        else:
+            self._path = [*self._path[1 - MOST_STATES :], _Converged(load, x, pressure)]
+        border = np.zeros(self.factor.n_border)
+        border[0] = self.body.mean_pressure(balance)
         return DeformedStep(
             problem=self.problem,
-            unknown=x[: self.problem.formulation.surface.n_nodes].copy(),
-            border=self._border(self.body.mean_pressure(balance)),
+            unknown=balance.x[: self.problem.formulation.surface.n_nodes].copy(),
+            border=border,
             iterations=iterations,
+            status=status,
             lacking=balance.lacking[self.problem.held_nodes],
             stored=self.body.energy(balance),
             balance=balance,
+            reached=reached,
         )
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step and what its balance on the deformed surface lacks."""
+        """The step and what its balance on the deformed surface lacks, under the load that was reached."""
         if not isinstance(step, DeformedStep) or step.balance is None:
             return step, Audit(np.nan)
         problem, n = self.problem, len(step.unknown)
         displaced = problem.formulation.displacement
+        load = step.balance.load
         balance = self.body.balance(load, step.balance.x, step.balance.pressure)
         residual = float(np.linalg.norm(balance.lacking[self._free_nodes]))
         moved = float(np.abs(displaced(step.unknown)).max())
@@ -303,6 +317,8 @@ class NonlinearSolver:
         found = Audit(
             max(residual / max(balance.scale, self.smallest_force), float(np.abs(balance.gap).max()))
         )
+        if not step.status.ok:
+            return step, found
         if not problem.force(load).any() and not problem.held_unknown(load).any():
             return step, found
         step = replace(step, status=self.body.reserved(step.status, balance))
@@ -317,11 +333,6 @@ class NonlinearSolver:
         far = np.zeros_like(balance.x)
         far[self._free_nodes] = change
         return step, replace(found, error=float(np.abs(displaced(far[:n])).max()) / largest)
-
-    def _border(self, pressure: float) -> Array:
-        border = np.zeros(self.factor.n_border)
-        border[0] = pressure
-        return border
 
     def _moved_by_rounding(self, size: float) -> float:
         """How far the rounding of positions `size` large moves the body [m], by the forces that it makes."""
@@ -358,20 +369,6 @@ class NonlinearSolver:
                     return parabola
         return found
 
-    def _failed(self, reached: float, iterations: int) -> Step:
-        surface, d = self.problem.formulation.surface, self.problem.formulation.components
-        lost = np.full((surface.n_nodes, d), np.nan)
-        return DeformedStep(
-            problem=self.problem,
-            unknown=lost,
-            border=np.full(self.factor.n_border, np.nan),
-            iterations=iterations,
-            status=Status("not-converged", NOT_CONVERGED.format(reached=100 * reached), REMEDY),
-            lacking=lost[self.problem.held_nodes],
-            stored=np.nan,
-            reached=reached,
-        )
-
     def _held(self, load: Load) -> Array:
         """(n, d) x of the held nodes of the body, zero elsewhere."""
         held = np.zeros_like(self._rest.x)
@@ -384,7 +381,8 @@ class NonlinearSolver:
 
     def _solve(
         self, load: Load, x: Array, pressure: Array, shares: tuple[float, float]
-    ) -> tuple[Balance | None, int]:
+    ) -> tuple[Balance | None, int, float]:
+        """The balance if it was found, iterations, and their last relative residual."""
         nodes, body, unit = self._free_nodes, self.body, self._unit
         held = self._held(load)
         x = self.carried(x, held)[0]
@@ -392,22 +390,23 @@ class NonlinearSolver:
         # what the last load step learnt of the slope holds here too, nearly
         anderson = self._anderson
         anderson.begin()
-        smallest = np.inf
+        smallest = left = np.inf
         for iteration in range(MAX_ITERATIONS):
             if (
                 not np.abs(self.problem.formulation.displacement(x[: len(self.problem.free)])).max()
                 < self.reach
             ):
-                return None, iteration
+                return None, iteration, left
             balance = body.balance(load, x, pressure)
             residual = float(np.linalg.norm(balance.lacking[nodes]))
-            if not np.isfinite(residual) or residual > GROWTH_LIMIT * max(smallest, balance.scale):
-                return None, iteration
-            smallest = min(smallest, residual)
             scale = max(balance.scale, self.smallest_force)
-            tell(Progress(self._number, 0, *shares, iteration, residual / scale))
+            left = residual / scale
+            if not np.isfinite(residual) or residual > GROWTH_LIMIT * max(smallest, balance.scale):
+                return None, iteration, left
+            smallest = min(smallest, residual)
+            tell(Progress(self._number, 0, *shares, iteration, left))
             if residual <= TOLERANCE * scale and (np.abs(balance.gap).max() <= TOLERANCE):
-                return self._close_volume(load, balance, turn), iteration
+                return self._close_volume(load, balance, turn), iteration, left
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
             x = x.copy()
             if self._mixes or residual < NEAR * balance.scale:
@@ -421,7 +420,7 @@ class NonlinearSolver:
             share = min(1.0, LONGEST * self.reach / max(float(np.abs(change).max()), np.finfo(float).tiny))
             x[nodes] += share * change
             pressure = pressure + share * pushed
-        return None, MAX_ITERATIONS
+        return None, MAX_ITERATIONS, left
 
     def _close_volume(self, load: Load, balance: Balance, turn: Array) -> Balance | None:
         for _ in range(5):
