@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from vdmbench.work.plan import Plan, PlannedCase
-from vdmbench.work.pool import run_tasks, told
+from vdmbench.work.pool import run_tasks
 from vdmbench.work.tasks import Task, tasks_of
 from vdmbench.work.worker import Said, do_task
 
@@ -22,10 +22,6 @@ class HerePool:
         future: Future[str] = Future()
         future.set_result(do_task(task))
         return future
-
-    def failure(self, error: BaseException, log: str) -> Said:
-        """See `Pool`."""
-        return told(error, log)
 
 
 def outcomes_of(plan: Plan, cases: Sequence[PlannedCase] | None = None) -> list[tuple[Task, Said]]:

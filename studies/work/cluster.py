@@ -11,11 +11,9 @@ import json
 import logging
 import multiprocessing
 import shutil
-import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -23,7 +21,7 @@ from urllib.parse import urlsplit
 from uuid import uuid4
 
 from ..study.errors import InputError
-from .pool import local_pool, told
+from .pool import local_pool
 from .worker import Said
 
 INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
@@ -65,18 +63,25 @@ class Cluster:
             "versions": _versions(),
             "timeout": seconds,
         }
-        future: Future[str] = self._executor.submit(carry_out, json.dumps(request))
-        return future
+        said: Future[str] = Future()
+        theirs = self._executor.submit(carry_out, json.dumps(request))
+        theirs.add_done_callback(lambda done: self._pass_on(done, said))
+        return said
 
-    def failure(self, error: BaseException, log: str) -> Said:
-        """See `Pool`. Raises ClusterError where the scheduler is lost, or a worker cannot do the task."""
-        if isinstance(error, CancelledError):
-            raise self._lost()
-        if type(error).__name__ == "KilledWorker":
-            remedy = "use a coarser mesh, or workers with more memory; see the cluster's own logs"
-            return Said("error", 0.0, "its worker was lost several times while it was at work", remedy, log)
-        why = error if isinstance(error, RefusalError) else f"cannot run a task: {error!r:.200}"
-        raise ClusterError(f"a worker of {self._address} {why}")
+    def _pass_on(self, theirs: Future[str], said: Future[str]) -> None:
+        """What became of a task there; a ClusterError where the scheduler is lost, or a worker cannot do it."""
+        try:
+            said.set_result(theirs.result())
+        except CancelledError:
+            said.set_exception(self._lost())
+        except Exception as error:  # noqa: BLE001  whatever Dask raises
+            if type(error).__name__ == "KilledWorker":
+                why = "its worker was lost several times while it was at work"
+                remedy = "use a coarser mesh, or workers with more memory; see the cluster's own logs"
+                said.set_result(Said("error", 0.0, why, remedy).as_json())
+                return
+            why = f"{error}" if isinstance(error, RefusalError) else f"cannot run a task: {error!r:.200}"
+            said.set_exception(ClusterError(f"a worker of {self._address} {why}"))
 
     def close(self) -> None:
         """Cancel what waits; what is at work stops when the scratch directory is gone."""
@@ -186,40 +191,25 @@ def carry_out(text: str) -> str:
     Raises
     ------
     RefusalError
-        see `refusal`.
+        another version than the run's, or a run directory that it does not see.
     """
-    refused = refusal(text)
-    if refused:
-        raise RefusalError(refused)
-    request = json.loads(text)
-    log = Path(request["log"])
-    # a nanny starts its worker as a daemon, which may have no processes of its own
-    multiprocessing.current_process().daemon = False
-    with local_pool(1) as pool:
-        future = pool.submit(request["task"], log, request["timeout"])
-        while not future.done() and Path(request["scratch"]).is_dir():
-            time.sleep(_POLL)
-        if not future.done():
-            raise RefusalError("has no run directory any more: the run is over")
-        error = future.exception()
-        if error is None:
-            return future.result()
-        said = told(error, log.read_text(errors="replace") if log.exists() else "")
-        return json.dumps(asdict(said))
-
-
-def refusal(text: str) -> str:
-    """On a worker: why it must not do a request, or nothing."""
-    request = json.loads(text)
-    here = _versions()
+    request, here = json.loads(text), _versions()
     for name, wanted in request["versions"].items():
         if here.get(name) != wanted:
             has = f"{name} {here[name]}" if name in here else f"no {name}"
-            return f"has {has}, not {wanted}: install the same vdmbench everywhere"
-    home = Path(request["scratch"])
-    if not home.is_dir():
-        return f"does not see {home}: the run directory must be on a file system that all machines share"
-    return ""
+            raise RefusalError(f"has {has}, not {wanted}: install the same vdmbench everywhere")
+    run = Path(request["scratch"])
+    if not run.is_dir():
+        told = f"does not see {run}: the run directory must be on a file system that all machines share"
+        raise RefusalError(told)
+    # a nanny starts its worker as a daemon, which may have no processes of its own
+    multiprocessing.current_process().daemon = False
+    with local_pool(1) as pool:
+        future = pool.submit(request["task"], Path(request["log"]), request["timeout"])
+        while run.is_dir():
+            with suppress(TimeoutError):
+                return future.result(_POLL)
+        raise RefusalError("has no run directory any more: the run is over")
 
 
 def _versions() -> dict[str, str]:

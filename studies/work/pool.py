@@ -56,10 +56,10 @@ class Pool(Protocol):
         """How many at once."""
 
     def submit(self, task: str, log: Path, seconds: float | None) -> Future[str]:
-        """Do a task, given as JSON, in `seconds` at most; raises through the future, see `failure`."""
+        """Do a task, given as JSON, in `seconds` at most; the future has its `Said` as JSON, whatever became of it.
 
-    def failure(self, error: BaseException, log: str) -> Said:
-        """What an error of a future means; "crashed" where its process died, and it may be tried again."""
+        "crashed" where its process died, and it may be tried again; raises through the future what ends the run.
+        """
 
 
 def run_tasks(
@@ -117,7 +117,7 @@ def run_tasks(
                     where(task, line)
             for future in finished:
                 task = at_work.pop(future)
-                said = _said(future, pool, log_of(task))
+                said = _said(future, log_of(task))
                 if said.code == "crashed" and attempts[task.id] < ATTEMPTS:
                     heapq.heappush(ready, order[task.id])
                 else:
@@ -129,13 +129,10 @@ def run_tasks(
             sorter.done(task.id)
 
 
-def _said(future: Future[str], pool: Pool, log: Path) -> Said:
-    """What became of a task whose process has answered or died; its log goes."""
+def _said(future: Future[str], log: Path) -> Said:
+    """What became of a task; its log goes."""
     printed = _read(log)
     log.unlink(missing_ok=True)
-    error = future.exception()
-    if error is not None:
-        return pool.failure(error, printed)
     said = Said(**json.loads(future.result()))
     return said if said.ok else replace(said, log=printed)
 
@@ -156,14 +153,6 @@ def _last_place(log: Path) -> str:
 # --- processes of this machine ---
 
 
-class WorkerDiedError(Exception):
-    """A worker that ended before it answered, with its exit code; None where it could not start."""
-
-    def __init__(self, code: int | None) -> None:
-        super().__init__(code)
-        self.code = code
-
-
 class LocalPool:
     """`jobs` worker processes, each with its share of the cores and of the memory [bytes]."""
 
@@ -176,12 +165,11 @@ class LocalPool:
         self._changes = threading.Lock()  # one process starts or ends at a time: multiprocessing looks at all
         self._closed = False
 
-    def submit(self, task: str, log: Path, seconds: float | None) -> Future[str]:  # noqa: ARG002
+    def submit(self, task: str, log: Path, seconds: float | None) -> Future[str]:
         """See `Pool`."""
-        return self._threads.submit(self._do, task, seconds)
+        return self._threads.submit(self._do, task, log, seconds)
 
-    def _do(self, task: str, seconds: float | None) -> str:
-        """What a task says. Raises TimeoutError, WorkerDiedError."""
+    def _do(self, task: str, log: Path, seconds: float | None) -> str:
         worker: _Worker | None = getattr(self._own, "worker", None)
         try:
             if worker is None:
@@ -191,9 +179,10 @@ class LocalPool:
         except (EOFError, OSError) as error:
             self._own.worker = None
             code = self._end(worker) if worker is not None else None
-            if isinstance(error, TimeoutError):
-                raise
-            raise WorkerDiedError(code) from error
+            if isinstance(error, TimeoutError) and seconds is not None:
+                remedy = "allow more with --timeout, or use a coarser mesh"
+                return Said("timeout", seconds, f"stopped after {seconds:g} s", remedy).as_json()
+            return _died(code, _read(log)).as_json()
 
     def _start(self) -> _Worker:
         with self._changes:
@@ -207,10 +196,6 @@ class LocalPool:
         with self._changes:
             self._workers.discard(worker)
             return worker.end()
-
-    def failure(self, error: BaseException, log: str) -> Said:
-        """See `Pool`."""
-        return told(error, log)
 
     def close(self) -> None:
         """Stop the workers, at work or not."""
@@ -296,24 +281,16 @@ def _end_with_starter() -> None:
     os._exit(1)
 
 
-def told(error: BaseException, log: str) -> Said:
-    """What an error of a local pool's future means."""
-    match error:
-        case TimeoutError(args=(_, seconds)):
-            remedy = "allow more with --timeout, or use a coarser mesh"
-            return Said("timeout", seconds, f"stopped after {seconds:g} s", remedy, log)
-        case WorkerDiedError(code=code):
-            if OUT_OF_MEMORY.search(log):
-                return Said("crashed", 0.0, "out of memory", MORE_MEMORY, log)
-            if code in (None, -signal.SIGKILL):
-                how = "could not start" if code is None else "was killed by the system"
-                return Said("crashed", 0.0, f"the worker {how}, most likely out of memory", MORE_MEMORY, log)
-            how = f"ended with exit code {code}"
-            if code < 0:
-                how = f"crashed with signal {signal.Signals(-code).name}"
-            remedy = "see the log in the run directory's failed/ folder; other cases are not affected"
-            return Said("crashed", 0.0, f"the worker {how}", remedy, log)
-    return Said("error", 0.0, f"{type(error).__name__}: {error}", "this is a bug: please report it", log)
+def _died(code: int | None, log: str) -> Said:
+    """Of a worker that ended before it answered, with its exit code; None where it could not start."""
+    if OUT_OF_MEMORY.search(log):
+        return Said("crashed", 0.0, "out of memory", MORE_MEMORY)
+    if code in (None, -signal.SIGKILL):
+        how = "could not start" if code is None else "was killed by the system"
+        return Said("crashed", 0.0, f"the worker {how}, most likely out of memory", MORE_MEMORY)
+    how = f"crashed with signal {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+    remedy = "see the log in the run directory's failed/ folder; other cases are not affected"
+    return Said("crashed", 0.0, f"the worker {how}", remedy)
 
 
 @contextlib.contextmanager

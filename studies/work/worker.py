@@ -63,6 +63,10 @@ class Said:
         """Whether it is done."""
         return self.code == "done"
 
+    def as_json(self) -> str:
+        """As it travels; `Said(**json.loads(...))` reads it back."""
+        return json.dumps(asdict(self))
+
 
 def do_task(text: str) -> str:
     """Do a task, given as JSON; what became of it, as JSON: an error is told, never raised."""
@@ -73,7 +77,7 @@ def do_task(text: str) -> str:
         if OUT_OF_MEMORY.search(message):
             message, remedy = "out of memory", MORE_MEMORY
         seconds, processor = time.perf_counter() - start, time.process_time() - used
-    return json.dumps(asdict(Said(code, seconds, message, remedy, processor=processor)))
+    return Said(code, seconds, message, remedy, processor=processor).as_json()
 
 
 # --- the kinds of tasks ---

@@ -23,7 +23,14 @@ import trustme
 from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_for, write_study
 from tools.documents import ROOT
 from vdmbench.study.errors import InputError
-from vdmbench.work.cluster import LOOPBACK, ClusterError, checked_address, cluster_pool, refusal
+from vdmbench.work.cluster import (
+    LOOPBACK,
+    ClusterError,
+    RefusalError,
+    carry_out,
+    checked_address,
+    cluster_pool,
+)
 
 from . import processes
 
@@ -218,11 +225,10 @@ def test_what_is_no_address(address: str) -> None:
 def test_workers_that_differ_or_do_not_see_the_directory_are_refused(tmp_path: Path) -> None:
     from vdmbench.work.cluster import _versions
 
-    def answer(versions: dict[str, str], home: Path) -> str:
-        return refusal(json.dumps({"versions": versions, "scratch": str(home)}))
-
-    assert answer(_versions(), tmp_path) == ""
-    assert answer(_versions() | {"vdmbench": "0.0.0"}, tmp_path).startswith("has vdmbench ")
-    assert "not 99: install" in answer(_versions() | {"model fem": "99"}, tmp_path)
-    assert answer(_versions() | {"model new": "1"}, tmp_path).startswith("has no model new, not 1")
-    assert "does not see" in answer(_versions(), tmp_path / "elsewhere")
+    for versions, home, why in (
+        ({"vdmbench": "0.0.0"}, tmp_path, "^has vdmbench .*, not 0.0.0: install"),
+        ({"model new": "1"}, tmp_path, "^has no model new, not 1"),
+        ({}, tmp_path / "elsewhere", "^does not see"),
+    ):
+        with pytest.raises(RefusalError, match=why):
+            carry_out(json.dumps({"versions": _versions() | versions, "scratch": str(home)}))
