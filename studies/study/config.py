@@ -20,6 +20,7 @@ from .loads import LOAD_KEYS
 from .registry import FINITE_STRAIN, split
 from .schema import Study
 from .sweep import (
+    STAR,
     Axis,
     ResolvedCase,
     as_written,
@@ -78,33 +79,21 @@ def load_study(
     findings += _changed_in_vain(axes, changes, data)
     if study is not None:
         findings += _check_limits(base, axes, study)
-        findings += variations(study)[1]
     if study is None or findings:
         raise source.error(findings, base)
-    if not axes:
-        return study
-    found, findings = check_cases(data, axes, study.study.max_cases, source)
-    if study.inputs is not None:
-        findings += [finding for case in found for finding in variations(case.study)[1]]
-    if findings:
-        raise source.error(findings, base)
-    study._cases = tuple(found)
+    expand(study)
     return study
 
 
 def _changed_in_vain(
     axes: Sequence[Axis], changes: Sequence[Mapping[str, Any]], data: Mapping[str, Any]
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Changes of a key that each case of the sweep gives a value of its own."""
     changed = {key for change in changes for key in changed_keys(change)}
-    swept = [axis for axis in axes if axis.key in changed and data["sweep"].get("mode") != "one-at-a-time"]
-    return [
-        (
-            axis.target.loc,
-            f"is swept, so that a change decides nothing; change sweep.{shown(axis.key)} instead",
-        )
-        for axis in swept
-    ]
+    for axis in axes:
+        if axis.key in changed and data["sweep"].get("mode") != STAR:
+            told = f"is swept, so that a change decides nothing; change sweep.{shown(axis.key)} instead"
+            yield axis.target.loc, told
 
 
 def expand(study: Study) -> list[ResolvedCase]:
@@ -115,15 +104,17 @@ def expand(study: Study) -> list[ResolvedCase]:
     StudyError
         more cases than `study.max_cases`, or a case that is wrong.
     """
-    if study._cases is not None:
-        return list(study._cases)
-    data = _plain(study)
-    axes, findings = read_axes(data)
-    if not findings:
-        found, findings = check_cases(data, axes, study.study.max_cases, study._source)
-    if findings:
-        raise study._source.error(findings, data)
-    return found
+    if study._cases is None:
+        data = study.model_dump(mode="json")
+        axes, findings = read_axes(data)
+        if not findings:
+            found, findings = check_cases(data, axes, study.study.max_cases, study._source)
+        if not findings and study.inputs is not None:
+            findings = [finding for case in found for finding in variations(case.study)[1]]
+        if findings:
+            raise study.error(findings)
+        study._cases = tuple(found)
+    return list(study._cases)
 
 
 def resolved(study: Study) -> dict[str, Any]:

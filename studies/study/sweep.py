@@ -24,7 +24,7 @@ T = TypeVar("T")
 # label, swept values by key, the data of a study with them
 Case = tuple[str, dict[str, Value], dict[str, Any]]
 
-_STAR, _HYPERCUBE = "one-at-a-time", "latin-hypercube"
+STAR, _HYPERCUBE = "one-at-a-time", "latin-hypercube"
 _BASE = "base"  # label of the case that a star is about
 
 
@@ -205,28 +205,26 @@ def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
     """The cases of a sound sweep, in order: the last axis of a grid varies fastest, a star begins with its base."""
     sweep = data.get("sweep", {})
     rest = {key: value for key, value in data.items() if key != "sweep"}
-    star = bool(axes) and sweep.get("mode") == _STAR
-    short = Counter(
-        _short(axis.key) for axis in axes
-    )  # labels call an axis by its last part where that is its own
-    names = {
-        key: name if short[name] == 1 else key for key in (a.key for a in axes) for name in (_short(key),)
-    }
-    # a key that the file leaves out has no value in the base of a star
-    base = (
-        {axis.key: own for axis in axes if (own := as_given(rest, axis.target)) is not None} if star else {}
-    )
-    if star:
+    last = {axis.key: _short(axis.key) for axis in axes}
+    often = Counter(last.values())  # labels call an axis by its last part where that is its own
+
+    def told(axis: Axis, value: Value) -> str:
+        name = last[axis.key] if often[last[axis.key]] == 1 else axis.key
+        unit = "" if axis.target.unit == "1" else f" {axis.target.unit}"
+        return f"{name} = {_shown(without_folders(value))}{unit}"
+
+    base: dict[str, Value] = {}
+    rows = _combinations(sweep, axes)
+    if axes and sweep.get("mode") == STAR:
+        own = {axis.key: value_at(rest, axis.target.loc) for axis in axes}
+        base = {key: value for key, value in own.items() if value is not None}
+        rows = _off_base(axes, base)
         yield _BASE, base, rest
-    for changed in _off_base(axes, base) if star else _combinations(sweep, axes):
+    for changed in rows:
         case = rest
         for axis, value in changed:
             case = substituted(case, axis.target.loc, value)
-        units = ("" if axis.target.unit == "1" else f" {axis.target.unit}" for axis, _ in changed)
-        label = ", ".join(
-            f"{names[axis.key]} = {_shown(without_folders(value))}{unit}"
-            for (axis, value), unit in zip(changed, units, strict=True)
-        )
+        label = ", ".join(told(axis, value) for axis, value in changed)
         yield label, base | {axis.key: value for axis, value in changed}, case
 
 
@@ -250,23 +248,13 @@ def _off_base(axes: Sequence[Axis], base: Mapping[str, Value]) -> Iterator[list[
     for axis in axes:
         own = base.get(axis.key)
         for value in axis.values:
-            if isinstance(value, str) or isinstance(own, str) or own is None:
-                same = value == own
-            else:
+            same = value == own
+            if not (isinstance(value, str) or isinstance(own, str) or own is None):
                 same = math.isclose(
                     value, own, rel_tol=1e-14
                 )  # "1 mm" and 0.001 may differ in their last bit
             if not same:
                 yield [(axis, value)]
-
-
-def as_given(data: Mapping[str, Any], target: Target) -> Value | None:
-    """The study's own value of a key, None where it has none that is sound."""
-    value = value_at(data, target.loc)
-    try:
-        return None if value is None else _value(target, value)
-    except EntryError:
-        return None  # the study's own checks say what is wrong
 
 
 def substituted(data: Any, loc: Loc, value: Value) -> Any:
@@ -283,7 +271,7 @@ def substituted(data: Any, loc: Loc, value: Value) -> Any:
 
 def first_case(data: dict[str, Any], axes: Sequence[Axis]) -> dict[str, Any]:
     """`data` with the first value of those axes whose key the file leaves to the sweep; a star leaves it none."""
-    if isinstance(data.get("sweep"), dict) and data["sweep"].get("mode") == _STAR:
+    if isinstance(data.get("sweep"), dict) and data["sweep"].get("mode") == STAR:
         return data
     for axis in axes:
         if value_at(data, axis.target.loc) is None:
@@ -321,19 +309,18 @@ def check_cases(
     for label, swept, case in made:
         study, findings = validate(case, source)
         for loc, text in findings:
-            place = loc if label == _BASE else at_axis.get(loc, loc)  # the base is what the file says
-            faults.setdefault(place, []).append(f"{text} (in the case {label})" if label else text)
+            faults.setdefault(at_axis.get(loc, loc), []).append(
+                f"{text} (in the case {label})" if label else text
+            )
         if study is not None:
             resolved.append(ResolvedCase(label, swept, swept_units, study))
-    found = [
-        (loc, texts[0] + (f"; {len(texts) - 1} more cases are alike" if len(texts) > 1 else ""))
-        for loc, texts in faults.items()
-    ]
-    repeated = next(
-        (label for label, count in Counter(made_ for made_, *_ in made).items() if count > 1), None
-    )
-    if repeated is not None:
-        found.append((("sweep",), f"makes the case {repeated} more than once; leave a value out"))
+    alike = {
+        loc: f"; {len(texts) - 1} more cases are alike" * (len(texts) > 1) for loc, texts in faults.items()
+    }
+    found = [(loc, texts[0] + alike[loc]) for loc, texts in faults.items()]
+    repeated = [label for label, count in Counter(label for label, *_ in made).items() if count > 1]
+    if repeated:
+        found.append((("sweep",), f"makes the case {repeated[0]} more than once; leave a value out"))
     return resolved, found
 
 
