@@ -13,8 +13,10 @@ from solver_common.closed_surfaces import solid_angles
 from ..body.mesh import Mesh
 from ..body.surface_measures import pieces
 from ..body.topology import OUTWARD_FACES
+from ..study.errors import MeshError
 from ..study.schema import Inclusion, Study, Tissue
 from .placed import SceneError
+from .regions import holds, in_group
 
 _PLACES = 24  # along each axis, of which the deepest is told
 
@@ -34,8 +36,8 @@ def place_inclusions(
 
     None on a mesh without tetrahedra, where it is only seen that each lies in the body.
 
-    A tetrahedron belongs to a ball or a box where its centroid lies in it, and to the last that it lies in. `known`
-    are the tetrahedra where the mesh is a refinement, on which the inclusions are those of the coarse mesh.
+    A tetrahedron belongs to the last inclusion that its centroid lies in, by the rules of regions. `known` are the
+    tetrahedra where the mesh is a refinement, on which the inclusions are those of the coarse mesh.
 
     Raises
     ------
@@ -47,7 +49,7 @@ def place_inclusions(
     if len(mesh.tetrahedra):
         return on_mesh(study.inclusions, mesh, known)
     for k, part in enumerate(study.inclusions):
-        if (told := _outside(part, mesh)) and not _within(part, mesh.surface_points).any():
+        if (told := _outside(part, mesh)) and not holds(part, mesh, mesh.surface_points).any():
             raise SceneError(f"inclusion {part.name!r}: {told}", ("inclusions", k))
     return ()
 
@@ -155,23 +157,10 @@ def _outside(part: Inclusion, mesh: Mesh) -> str:
     )
 
 
-def _within(inclusion: Inclusion, points: Array) -> Mask:
-    """(n,) which points (n, 3) lie in a ball or a box."""
-    if inclusion.ball is not None:
-        offset = points - np.array(inclusion.ball.center)
-        return np.asarray(np.linalg.norm(offset, axis=1) <= inclusion.ball.radius)
-    assert inclusion.box is not None  # a study is checked
-    low, high = np.array(inclusion.box.min), np.array(inclusion.box.max)
-    return np.asarray(np.all((points >= low) & (points <= high), axis=1))
-
-
 def _inside(inclusion: Inclusion, mesh: Mesh, place: tuple[str, int]) -> Mask:
     """(m,) tetrahedra of an inclusion, whatever others take."""
-    if inclusion.group is not None:
-        if inclusion.group not in mesh.volumes:
-            known = ", ".join(sorted(mesh.volumes)) or "none"
-            raise SceneError(
-                f"the mesh has no group {inclusion.group!r} of tetrahedra; it has: {known}", place
-            )
-        return mesh.volumes[inclusion.group]
-    return _within(inclusion, mesh.points[mesh.tetrahedra].mean(axis=1))
+    found = holds(inclusion, mesh, mesh.points[mesh.tetrahedra].mean(axis=1))
+    try:
+        return found & in_group(inclusion.group, mesh.volumes) if inclusion.group is not None else found
+    except MeshError as error:
+        raise SceneError(str(error), place) from None

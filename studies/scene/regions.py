@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from solver_common.arrays import Array, Mask
 
 from ..body.mesh import Mesh
 from ..study.errors import MeshError
-from ..study.schema import Ball, Cap, HalfSpace, Region
+from ..study.schema import Ball, Cap, HalfSpace, Places, Region
 
 AXES = {"x": 0, "y": 1, "z": 2}
 _TOLERANCE = 1e-9  # of the body's size: nodes on the border of a region belong to it
@@ -22,27 +24,34 @@ def select(region: Region, mesh: Mesh) -> Mask:
     MeshError
         the mesh has no group of the wanted name.
     """
-    points = mesh.surface_points
-    found = np.ones(len(points), dtype=bool)
+    found = holds(region, mesh, mesh.surface_points)
     if region.cavity is not None or region.group is None:
         found &= mesh.in_cavity if region.cavity else ~mesh.in_cavity
-    if region.below is not None:
-        found &= _beyond(region.below, mesh, sign=-1.0)
-    if region.above is not None:
-        found &= _beyond(region.above, mesh, sign=1.0)
-    if region.box is not None:
-        low, high = np.array(region.box.min) - _margin(mesh), np.array(region.box.max) + _margin(mesh)
+    return found & in_group(region.group, mesh.groups) if region.group is not None else found
+
+
+def holds(part: Places, mesh: Mesh, points: Array) -> Mask:
+    """(n,) which points (n, 3) lie where all keys of a region or an inclusion say, its group apart."""
+    found = np.ones(len(points), dtype=bool)
+    if part.below is not None:
+        found &= _beyond(part.below, mesh, points, sign=-1.0)
+    if part.above is not None:
+        found &= _beyond(part.above, mesh, points, sign=1.0)
+    if part.box is not None:
+        low, high = np.array(part.box.min) - _margin(mesh), np.array(part.box.max) + _margin(mesh)
         found &= np.all((points >= low) & (points <= high), axis=1)
-    if region.group is not None:
-        if region.group not in mesh.groups:
-            known = ", ".join(sorted(mesh.groups)) or "none"
-            raise MeshError(f"the mesh has no group {region.group!r}; it has: {known}")
-        found &= mesh.groups[region.group]
-    if region.ball is not None:
-        found &= _from_ball(region.ball, points) <= 1 + _TOLERANCE
-    if region.cap is not None:
-        found &= _from_cap(region.cap, mesh, points) <= 1 + _TOLERANCE
+    if part.ball is not None:
+        found &= _from_ball(part.ball, points) <= 1 + _TOLERANCE
+    if part.cap is not None:
+        found &= _from_cap(part.cap, mesh, points) <= 1 + _TOLERANCE
     return found
+
+
+def in_group(name: str, groups: Mapping[str, Mask]) -> Mask:
+    """What is in a named group of a mesh file. Raises MeshError where there is none."""
+    if name not in groups:
+        raise MeshError(f"the mesh has no group {name!r}; it has: {', '.join(sorted(groups)) or 'none'}")
+    return groups[name]
 
 
 def lies_outside(region: Region, low: Array, high: Array) -> bool:
@@ -62,13 +71,13 @@ def body_extent(low: Array, high: Array) -> str:
     return f"the body has {extent} m; a mixed-up unit? A bare number is in metres"
 
 
-def _beyond(plane: HalfSpace, mesh: Mesh, sign: float) -> Mask:
-    """Nodes above (sign 1) or below (-1) a plane, those on it included."""
-    coordinate = mesh.surface_points[:, AXES[plane.axis]]
-    level = plane.value
+def _beyond(plane: HalfSpace, mesh: Mesh, points: Array, sign: float) -> Mask:
+    """Points above (sign 1) or below (-1) a plane, those on it included."""
+    axis, level = AXES[plane.axis], plane.value
     if level is None:
+        coordinate = mesh.surface_points[:, axis]
         level = float(coordinate.min() + (plane.fraction or 0.0) * np.ptp(coordinate))
-    return sign * (coordinate - level) >= -_margin(mesh)
+    return sign * (points[:, axis] - level) >= -_margin(mesh)
 
 
 def _margin(mesh: Mesh) -> float:

@@ -19,7 +19,7 @@ from .schema import (
     LAWS,
     MOST_STEPS,
     NEO_HOOKEAN,
-    Box,
+    Inclusion,
     Region,
     Study,
 )
@@ -139,7 +139,13 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
     if geometry.seed is not None and geometry.slivers is None and geometry.perturbation is None:
         yield ("geometry", "seed"), "decides nothing without slivers or perturbation; give one of them"
     if isinstance(geometry, FileBody):
-        yield from _check_suffix(geometry.path.name, geometry.suffix)
+        name = shown(geometry.path.name)
+        if geometry.suffix == ".geo":
+            text = f"{name}: .geo files are scripts and are not run; give the mesh made from it"
+            yield ("geometry", "path"), text
+        elif geometry.suffix not in SURFACE_SUFFIXES + VOLUME_SUFFIXES:
+            kinds = f"a surface ({', '.join(SURFACE_SUFFIXES)}) or tetrahedra ({', '.join(VOLUME_SUFFIXES)})"
+            yield ("geometry", "path"), f"{name}: unknown kind of file; give {kinds}"
         if geometry.mesh_size is None and not geometry.has_own_tetrahedra:
             yield ("geometry", "mesh_size"), "is missing; only a file with tetrahedra does without"
         if geometry.size is not None and geometry.scale is not None:
@@ -161,18 +167,6 @@ def _sizes(geometry: Geometry) -> tuple[float, ...]:
     if isinstance(geometry, Shape):
         return geometry.extents()
     return (geometry.size,) if geometry.size is not None else ()
-
-
-def _check_suffix(name: str, suffix: str) -> Iterator[Finding]:
-    if suffix == ".geo":
-        text = f"{shown(name)}: .geo files are scripts and are not run; give the mesh made from it"
-        yield ("geometry", "path"), text
-    elif suffix not in SURFACE_SUFFIXES + VOLUME_SUFFIXES:
-        yield (
-            ("geometry", "path"),
-            f"{shown(name)}: unknown kind of file; give a surface ({', '.join(SURFACE_SUFFIXES)}) or "
-            f"tetrahedra ({', '.join(VOLUME_SUFFIXES)})",
-        )
 
 
 # --- constraints and loads ---
@@ -241,23 +235,23 @@ def _mixed_up(size: float, unit: str, modulus: float, extent: float | None) -> s
 
 def _check_regions(study: Study) -> Iterator[Finding]:
     for name, region in study.regions.items():
-        loc: Loc = ("regions", name)
-        if not region.model_fields_set:
-            yield (
-                loc,
-                f"selects nothing; give {', '.join(Region.model_fields)}, or several, all of which are to hold",
-            )
-        for key, half_space in (("below", region.below), ("above", region.above)):
-            if half_space is not None and (half_space.fraction is None) == (half_space.value is None):
-                yield (*loc, key), "give either fraction or value"
-        yield from _check_box(region.box, (*loc, "box"))
-        if region.group is not None and not _has_groups(study.geometry):
-            text = "only a MSH file has named groups of nodes; say where the region is instead"
-            yield (*loc, "group"), text
+        yield from _check_places(region, ("regions", name), study.geometry)
 
 
-def _has_groups(geometry: Geometry) -> bool:
-    return isinstance(geometry, FileBody) and geometry.suffix == ".msh"
+def _check_places(part: Region | Inclusion, loc: Loc, geometry: Geometry) -> Iterator[Finding]:
+    """What is wrong with where a region or an inclusion is."""
+    keys = [key for key in type(part).model_fields if key in Region.model_fields]
+    if part.model_fields_set.isdisjoint(keys):
+        yield loc, f"selects nothing; give {', '.join(keys)}, or several, all of which are to hold"
+    for key, half_space in (("below", part.below), ("above", part.above)):
+        if half_space is not None and (half_space.fraction is None) == (half_space.value is None):
+            yield (*loc, key), "give either fraction or value"
+    for axis, low, high in zip("xyz", part.box.min, part.box.max, strict=True) if part.box else ():
+        if low >= high:
+            text = f"must be above min along {axis}: {high:g} m is not above {low:g} m"
+            yield (*loc, "box", "max"), text
+    if part.group is not None and not (isinstance(geometry, FileBody) and geometry.suffix == ".msh"):
+        yield (*loc, "group"), "only a MSH file has named groups; say where it is instead"
 
 
 def _check_inclusions(study: Study) -> Iterator[Finding]:
@@ -265,16 +259,10 @@ def _check_inclusions(study: Study) -> Iterator[Finding]:
     inclusions, info = study.inclusions or (), study.study
     yield from named_twice("inclusions", inclusions, "inclusion")
     for place, part in enumerate(inclusions):
-        loc: Loc = ("inclusions", place)
-        present = part.model_fields_set & {"ball", "box", "group"}
-        if len(present) != 1:
-            yield loc, f"give exactly one of ball, box, group{f', not {listed(present)}' if present else ''}"
-        yield from _check_box(part.box, (*loc, "box"))
-        if part.group is not None and not _has_groups(study.geometry):
-            yield (*loc, "group"), "only a MSH file has named groups; give a ball or a box instead"
+        yield from _check_places(part, ("inclusions", place), study.geometry)
         if part.poisson_ratio is not None and min(part.poisson_ratio, study.tissue.poisson_ratio) <= 0.0:
             text = "where ratios differ each must be above 0; leave it out, or give others"
-            yield (*loc, "poisson_ratio"), text
+            yield ("inclusions", place, "poisson_ratio"), text
     for place, name in enumerate(info.homogeneous):
         loc = ("study", "homogeneous", place)
         if not inclusions:
@@ -283,13 +271,6 @@ def _check_inclusions(study: Study) -> Iterator[Finding]:
             yield loc, unknown(name, list(info.models), "model of this study")
         elif name == info.reference:
             yield loc, f"{shown(name)} is the reference, which has to know the inclusions"
-
-
-def _check_box(box: Box | None, loc: Loc) -> Iterator[Finding]:
-    """What is wrong with a box: corners that are not lowest and highest."""
-    for axis, low, high in zip("xyz", box.min, box.max, strict=True) if box is not None else ():
-        if low >= high:
-            yield (*loc, "max"), f"must be above min along {axis}: {high:g} m is not above {low:g} m"
 
 
 # --- measured tables ---

@@ -204,6 +204,13 @@ def model_names() -> list[str]:
     ]
 
 
+def _known(name: str) -> tuple[Declared | None, str]:
+    """The model behind a name, or that of a refined level, None where it is not registered here; and its solver."""
+    base, _, solver = name.partition(REFINED)[0].partition(":")
+    model = all_models().get(base)
+    return model, solver or (model.solvers[0] if model is not None else "")
+
+
 def find(name: str) -> tuple[Declared, str]:
     """The model and solver behind "name" or "name:solver".
 
@@ -212,11 +219,10 @@ def find(name: str) -> tuple[Declared, str]:
     KeyError
         no such model or solver.
     """
-    base, _, solver = name.partition(":")
-    model = all_models()[base]
-    if solver and solver not in model.solvers:
+    model, solver = _known(name)
+    if model is None or solver not in model.solvers:
         raise KeyError(name)
-    return model, solver or model.solvers[0]
+    return model, solver
 
 
 def lacks(name: str, extras: Collection[str]) -> list[str]:
@@ -230,7 +236,7 @@ def lacks(name: str, extras: Collection[str]) -> list[str]:
 
 def family_of(name: str) -> Family:
     """What a model, or a refined level of it, stands for; what is not registered here is another's engine."""
-    model = all_models().get(name.partition(" ")[0].partition(":")[0])
+    model, _ = _known(name)
     return model.family if model is not None else Family.ENGINES
 
 
@@ -250,11 +256,9 @@ def is_surface(name: str) -> bool:
 
 def reads(name: str) -> tuple[str, ...]:
     """Keys of [vdm] that a model reads with its solver; none where it is unknown."""
-    base, _, solver = name.partition(" ")[0].partition(":")
-    model = all_models().get(base)
+    model, solver = _known(name)
     if model is None:
         return ()
-    solver = solver or model.solvers[0]
     return tuple(key for key in model.parameters if solver in model.of_solvers.get(key, (solver,)))
 
 

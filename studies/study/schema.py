@@ -278,15 +278,20 @@ class Cap(Table):
     ] = Key("half of the opening angle")
 
 
-class Region(Table):
+class Places(Table):
+    """Where all of its keys hold"""
+
+    below: HalfSpace | None = Key("below a plane", None)
+    above: HalfSpace | None = Key("above a plane", None)
+    ball: Ball | None = Key("in a ball", None)
+    box: Box | None = Key("in a box", None)
+    cap: Cap | None = Key("in a cone from the centroid", None)
+    group: str | None = Key("in a named group of the mesh file", None, min_length=1)
+
+
+class Region(Places):
     """[regions.NAME]: the nodes for which all of its keys hold"""
 
-    below: HalfSpace | None = Key("nodes below a plane", None)
-    above: HalfSpace | None = Key("nodes above a plane", None)
-    ball: Ball | None = Key("nodes in a ball", None)
-    box: Box | None = Key("nodes in a box", None)
-    cap: Cap | None = Key("nodes in a cone from the centroid", None)
-    group: str | None = Key("nodes of a named group of the mesh file", None, min_length=1)
     cavity: bool | None = Key(
         "true: nodes of the walls of cavities; else all but a group is on the outer surface", None
     )
@@ -342,15 +347,10 @@ class Anisotropy(Table):
     )
 
 
-class Inclusion(Table):
-    """[[inclusions]]: a part of the inside with moduli of its own, as a tumour; one of ball, box, group"""
+class Inclusion(Places):
+    """[[inclusions]]: the tetrahedra in the middle of which all of its keys hold, with moduli of their own"""
 
     name: Name = Key("names it in sweeps and reports")
-    ball: Ball | None = Key("tetrahedra whose middle is in a ball", None)
-    box: Box | None = Key("tetrahedra whose middle is in a box", None)
-    group: str | None = Key(
-        "tetrahedra whose four nodes are in a named group of the mesh file", None, min_length=1
-    )
     youngs_modulus: YoungsModulus = Key("its Young's modulus")
     poisson_ratio: PoissonRatio | None = Key(
         "its Poisson's ratio, the tissue's where left out; ratios that differ are above 0", None

@@ -207,9 +207,12 @@ def test_a_group_of_tetrahedra_is_kept_with_the_mesh(bar: Mesh, tmp_path: Path) 
     stored = read_mesh(tmp_path / "mesh.npz")
     assert stored is not None
     assert stored.content_hash == bar.content_hash
-    by_box, by_group = (build_scene(study(inclusions=[part]), stored) for part in (UPPER, group))
-    assert (by_box.inclusions[0].inside == by_group.inclusions[0].inside).all()
-    with pytest.raises(SceneError, match="no group 'vessel' of tetrahedra; it has: cap"):
+    plane = {"name": "upper", "above": {"axis": "z", "fraction": 0.5}, "youngs_modulus": 1800.0}
+    by_box, *others = (build_scene(study(inclusions=[part]), stored) for part in (UPPER, group, plane))
+    assert 0 < by_box.inclusions[0].inside.sum() < len(stored.tetrahedra)
+    for other in others:
+        assert (by_box.inclusions[0].inside == other.inclusions[0].inside).all()
+    with pytest.raises(SceneError, match="no group 'vessel'; it has: cap"):
         build_scene(study(inclusions=[group | {"group": "vessel"}]), stored)
 
 
