@@ -79,7 +79,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
     of_levels = [
         (names.get(id(one), ""), Answer.of(steps_of(one, asked), linear=coarse in linear)) for one in levels
     ]
-    varied, spread, varied_of = partial(_varied, case, stored), None, {}
+    varied, spread, varied_of = partial(_varied, case, scene, stored), None, {}
     if study.inputs is not None:
         step = full_load_step(scene.load_factors)
         own = {name: one.displacement[step] for name, one in answers.items()}
@@ -138,19 +138,14 @@ def _result(wanted: Wanted, scene: Scene, stored: Stored) -> ModelResult:
     return combined(answers, wanted.scales, scene.mesh, datum)
 
 
-def _varied(case: PlannedCase, stored: Stored, name: str) -> list[Answer]:
+def _varied(case: PlannedCase, scene: Scene, stored: Stored, name: str) -> list[Answer]:
     """What a model answers to each variation of the inputs; the refined reference as on the case's own mesh."""
-    return [_varied_answer(part, part.want(name.removesuffix(REFINED)), stored) for part in case.variations]
-
-
-def _varied_answer(case: PlannedCase, want: Wanted, stored: Stored) -> Answer:
-    found = {key: answered(stored(key)) for key in dict.fromkeys(want.answers)}
-    if not want.scales:
-        return Answer.of(found[want.answers[0]], values=case.values)
-    steps = [(scale, found[key]) for key, scale in zip(want.answers, want.scales, strict=True)]
-    displacement = np.concatenate([scale * one.displacement for scale, one in steps])
-    reaction = np.concatenate([scale * one.reaction_force for scale, one in steps])
-    return Answer(displacement, reaction, linear=True, values=case.values)
+    found = []
+    for part in case.variations:
+        want = part.want(name.removesuffix(REFINED))
+        result = answered(_result(want, scene, stored))
+        found.append(Answer.of(result, linear=bool(want.scales), values=part.values))
+    return found
 
 
 def compare(
