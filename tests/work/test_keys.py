@@ -44,26 +44,14 @@ STUDY: dict[str, Any] = {
     "uncertainty": {"levels": 2},
 }
 DECIDES: dict[str, tuple[tuple[str | int, ...], Any, set[str]]] = {
-    "stiffness": (("tissue", "youngs_modulus"), 6e3, ALL),
     "compressibility": (("tissue", "poisson_ratio"), 0.48, VOLUME),
-    "density": (("tissue", "density"), 1.1e3, ALL),
-    "weight": (("gravity", "acceleration", 0), 1.0, ALL),
-    "fibres": (("anisotropy", "fibre_direction", 1), 1.0, ALL),
-    "contrast": (("anisotropy", "contrast"), 3.0, ALL),
     "surroundings": (("environment", "pressure"), 10.0, SURFACE),
     "history": (("load", "factors"), [0.5, 1.0], ALL),
-    "another full load": (("load", "factors"), [2.0], ALL),
-    "steps": (("load", "steps"), 2, ALL),
     "support": (("regions", "base", "below", "fraction"), 0.3, ALL),
-    "what is held": (("constraints", 0, "region"), "tool", ALL),
-    "contact": (("regions", "finger", "cap", "angle"), 0.6, ALL),
-    "force": (("constraints", 1, "force"), 0.03, ALL),
-    "profile": (("constraints", 1, "profile"), "hertz", ALL),
     "movement": (("constraints", 2, "displacement", 2), -0.001, ALL),
     "parameter": (("vdm", "penalty"), 1e7, SURFACE),
     "parameter of one formulation": (("vdm", "foundation"), 2e4, {"vdm-vector"}),
     "parameter of one model": (("models", "vdm-paper", "bulk_modulus"), 800.0, {"vdm-paper"}),
-    "figures of the condition": (("study", "condition"), True, ALL),
 }
 
 
@@ -95,13 +83,6 @@ def test_each_level_of_the_reference_is_a_set_up_of_its_own() -> None:
     found = answers(study())
     assert set(found) == {(name, 0) for name in ALL} | {("fem-linear", 1)}
     assert found["fem-linear", 0].body != found["fem-linear", 1].body
-
-
-def test_loads_of_one_body_share_its_set_up() -> None:
-    one, other = answers(study()), answers(study(("constraints", 1, "force"), 0.03))
-    for place, want in one.items():
-        assert want.body == other[place].body
-        assert want.answers != other[place].answers
 
 
 def test_multiples_of_a_load_have_one_answer() -> None:
