@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import socket
 import subprocess
@@ -20,7 +21,7 @@ import distributed  # noqa: F401  whose configuration is read
 import pytest
 import trustme
 
-from tests.command import SCRIPT, heed_ctrl_c, vdmbench, vdmbench_process, wait_for, write_study
+from tests.command import SCRIPT, vdmbench_process, wait_for
 from tools.documents import ROOT
 from vdmbench.study.errors import InputError
 from vdmbench.work.cluster import (
@@ -36,12 +37,6 @@ from . import processes
 
 COMPLETE = "cases/[!.]*"  # a file that is being written begins with a dot
 NEAR_ZERO_PATIENCE = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "1s"}
-SWEEP = """
-[sweep]
-"tissue.poisson_ratio" = [0.45, 0.49]
-"constraints.finger.force" = ["0.1 N", "0.2 N"]
-"""
-
 CLUSTER = ROOT / "docs" / "howto" / "cluster.md"
 
 
@@ -86,24 +81,6 @@ def _documented(command: str, old: str, new: str) -> list[str]:
     return [str(SCRIPT.parent / Path(words[0]).name), *words[1:]]
 
 
-def _study(directory: Path) -> Path:
-    path = write_study(directory)
-    path.write_text(path.read_text() + SWEEP)
-    return path
-
-
-def _start(study: Path, *options: str) -> subprocess.Popen[str]:
-    """The command at work, as a user has it in a terminal."""
-    return subprocess.Popen(
-        [SCRIPT, "run", str(study), "--out", "run", *options],
-        cwd=study.parent,
-        stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        text=True,
-        preexec_fn=heed_ctrl_c,
-    )
-
-
 def _at_work(run: Path) -> list[int]:
     """The processes that have a node's log open: they do the nodes of a run."""
     found = []
@@ -117,58 +94,48 @@ def _at_work(run: Path) -> list[int]:
     return found
 
 
-@pytest.fixture(scope="module")
-def local_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same study run without a cluster, with a cache of its own."""
-    place = tmp_path_factory.mktemp("local")
-    assert vdmbench("run", _study(place), "--out", "run", cwd=place).returncode == 0
-    return place / "run"
-
-
 def test_a_killed_worker_costs_a_retry_and_ctrl_c_keeps_what_is_done(
-    tmp_path: Path, scheduler: str, local_run: Path
+    tmp_path: Path, scheduler: str, undisturbed: tuple[Path, float]
 ) -> None:
-    run, study = tmp_path / "run", _study(tmp_path)
-    with _start(study, "--scheduler", scheduler) as command:
+    run, words = tmp_path / "run", ("run", "small.toml", "--out", "run", "--scheduler", scheduler)
+    shutil.copy(undisturbed[0] / "small.toml", tmp_path)
+    with processes.start(*words, cwd=tmp_path) as command:
         (victim, *_) = wait_for(lambda: _at_work(run))
         os.kill(victim, signal.SIGKILL)
         wait_for(lambda: list(run.glob(COMPLETE)))
         command.send_signal(signal.SIGINT)
-        _, said = command.communicate(timeout=300)
-    assert command.returncode == 130
+        said = processes.output_of(command)
+    assert command.returncode == 130, said
     assert "Traceback" not in said
     wait_for(lambda: not _at_work(run))
     assert not list(run.glob(".cluster*"))
     kept = {path: path.stat().st_mtime_ns for path in run.glob(COMPLETE)}
     assert kept
-    again = processes.start("run", str(study), "--out", "run", "--scheduler", scheduler, cwd=tmp_path)
+    again = processes.start(*words, cwd=tmp_path)
     said = processes.output_of(again)
     assert again.returncode == 0, said
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    processes.assert_same_results(run, local_run, 1e-13, 1e-13)
+    processes.assert_same_results(run, undisturbed[0] / processes.RUN)
 
 
 @pytest.mark.slow
-def test_tls_takes_those_with_a_certificate_only(tmp_path: Path, local_run: Path) -> None:
-    study, authority = _study(tmp_path), trustme.CA()
+def test_tls_takes_those_with_a_certificate_only(tmp_path: Path, undisturbed: tuple[Path, float]) -> None:
+    authority = trustme.CA()
+    shutil.copy(undisturbed[0] / "small.toml", tmp_path)
     trusted = _certificates(tmp_path, authority)
     (tmp_path / "stranger").mkdir()
     stranger = _certificates(tmp_path / "stranger", trustme.CA()) | NEAR_ZERO_PATIENCE
     with _cluster(tmp_path, "--protocol", "tls", **trusted) as address:
         assert address.startswith("tls://127.0.0.1:")
-        refused = vdmbench_process(
-            "run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **stranger
-        )
+        words = ("run", "small.toml", "--out", "run", "--scheduler", address)
+        refused = vdmbench_process(*words, cwd=tmp_path, **stranger)
         assert refused.returncode == 4
-        assert refused.stderr.startswith(
-            f"vdmbench: no scheduler that trusts this certificate answers at {address};"
-        )
+        told = f"vdmbench: no scheduler that trusts this certificate answers at {address};"
+        assert refused.stderr.startswith(told)
         assert len(refused.stderr.splitlines()) == 1
-        result = vdmbench_process(
-            "run", study, "--out", "run", "--scheduler", address, cwd=tmp_path, **trusted
-        )
+        result = vdmbench_process(*words, cwd=tmp_path, **trusted)
     assert result.returncode == 0, result.stderr
-    processes.assert_same_results(tmp_path / "run", local_run, 1e-13, 1e-13)
+    processes.assert_same_results(tmp_path / "run", undisturbed[0] / processes.RUN)
 
 
 def _connect(address: str, directory: Path) -> None:
@@ -195,31 +162,26 @@ def test_nobody_there_and_nobody_to_be_trusted(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.parametrize(
-    ("address", "full"),
+    ("address", "full", "why"),
     [
-        ("127.0.0.1:8786", "tcp://127.0.0.1:8786"),
-        ("tcp://localhost:8786", "tcp://localhost:8786"),
-        ("tcp://[::1]:8786", "tcp://[::1]:8786"),
-        ("tls://cluster.example:8786", "tls://cluster.example:8786"),
+        ("127.0.0.1:8786", "tcp://127.0.0.1:8786", ""),
+        ("tcp://localhost:8786", "tcp://localhost:8786", ""),
+        ("tcp://[::1]:8786", "tcp://[::1]:8786", ""),
+        ("tls://cluster.example:8786", "tls://cluster.example:8786", ""),
+        ("cluster.example:8786", "tcp://cluster.example:8786", "without TLS"),
+        ("tcp://192.168.0.7:8786", "tcp://192.168.0.7:8786", "without TLS"),
+        ("0.0.0.0:8786", "tcp://0.0.0.0:8786", "without TLS"),
+        *((one, "", "no scheduler's address") for one in ("", "127.0.0.1", "http://127.0.0.1:80")),
+        *((one, "", "no scheduler's address") for one in ("inproc://a/b/c", "tcp://127.0.0.1:x")),
+        ("tcp://[::1:1", "", "no scheduler's address"),
     ],
 )
-def test_addresses_that_are_safe(address: str, full: str) -> None:
-    assert checked_address(address, insecure=False) == full
-
-
-@pytest.mark.parametrize("address", ["cluster.example:8786", "tcp://192.168.0.7:8786", "0.0.0.0:8786"])
-def test_other_machines_need_tls_or_a_word(address: str) -> None:
-    with pytest.raises(InputError, match="without TLS"):
-        checked_address(address, insecure=False)
-    assert checked_address(address, insecure=True).endswith(address)
-
-
-@pytest.mark.parametrize(
-    "address", ["", "127.0.0.1", "http://127.0.0.1:80", "inproc://a/b/c", "tcp://127.0.0.1:x", "tcp://[::1:1"]
-)
-def test_what_is_no_address(address: str) -> None:
-    with pytest.raises(InputError, match="no scheduler's address"):
-        checked_address(address, insecure=True)
+def test_addresses_are_safe_or_need_a_word(address: str, full: str, why: str) -> None:
+    if why:
+        with pytest.raises(InputError, match=why):
+            checked_address(address, insecure=not full)
+    if full:
+        assert checked_address(address, insecure=bool(why)) == full
 
 
 def test_workers_that_differ_or_do_not_see_the_directory_are_refused(tmp_path: Path) -> None:

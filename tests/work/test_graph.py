@@ -48,7 +48,6 @@ ZIPPED = {
 }
 WEIGHT = {"gravity": {"acceleration": [0.0, 0.0, -9.81]}, "tissue": TABLES["tissue"] | {"density": 1000.0}}
 PENALTY = {"vdm": {"penalty": 1e6}}
-LEVELS = {"sweep": {"uncertainty.levels": [2, 3]}}
 FINITE = {
     "study": {"name": "test", "models": ["vdm-vector", "fem-linear", "fem"], "reference": "fem"},
     "uncertainty": None,
@@ -78,7 +77,7 @@ def test_two_places_and_two_forces_are_two_loads_on_one_body(
     assert made == {"fem set-ups": 2, "fem solves": 4, "vdm set-ups": 1, "vdm solves": 2}
 
 
-@pytest.mark.parametrize("changes", [ZIPPED, ALONE | MOVED, LEVELS])
+@pytest.mark.parametrize("changes", [ZIPPED, ALONE | MOVED])
 def test_shared_numbers_are_those_of_each_case_alone(
     tmp_path: Path, cache: Path, changes: dict[str, Any]
 ) -> None:
