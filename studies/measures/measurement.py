@@ -24,9 +24,9 @@ from solver_common.arrays import Array, Index, Mask
 from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..body.surface_measures import Surface, weighted_norm, without_motions
-from ..scene.measured_points import Placed, place_measured
+from ..scene.measured_points import place_measured
 from ..study.checks import pushing
-from ..study.measured import AXES, Measured, same_load
+from ..study.measured import AXES, same_load
 from ..study.registry import REFINED
 from ..study.schema import Study
 from ..study.sweep import Input, inputs_of
@@ -214,32 +214,26 @@ def hold_against(
     SceneError
         measured points that are not on the mesh.
     """
-    tables = list(zip(study.measured or (), place_measured(study, mesh), strict=True))
-    if not tables:
+    quantities, others = _quantities(study, mesh)
+    if not quantities:
         return None
-    factors = np.array(study.load.history)
-    pushed = {
-        name: Pushed.on(study, mesh, name)
-        for name in dict.fromkeys(_pushing(study, table) for table, _ in tables if table.forces)
-    }
+    pushed = {one.point: Pushed.on(study, mesh, one.point) for one in quantities if one.component == FORCE}
+    surfaces = {table.name: np.array(table.surface) for table in study.measured or () if table.surface}
 
     def simulate(answer: Answer) -> Array:
-        forces = {table.name: pushed[_pushing(study, table)] for table, _ in tables if table.forces}
-        return _simulated(tables, answer, mesh, factors, forces)
+        return _simulated(quantities, answer, mesh, pushed, surfaces)
 
-    quantities = [one for table, placed in tables for one in _quantities(study, table, placed, factors)]
     simulated = {name: simulate(answer) for name, answer in results.items()}
-    numerical = {name: np.full(len(quantities), np.nan) for name in results}
+    numerical = {name: np.full(len(quantities), np.nan) for name in (*results, *others)}
     solved = [simulate(answer) for _, answer in levels]
     for (name, _), values in zip(levels, solved, strict=True):
         if name and len(levels) > 1:
             numerical[name] = _numerical(values, solved[::-1])
-    others = _others(tables)
     return Measurement(
         quantities,
         {**simulated, **others},
-        {**numerical, **{name: np.full(len(quantities), np.nan) for name in others}},
-        {table.name: table.source for table, _ in tables},
+        numerical,
+        {table.name: table.source for table in study.measured or ()},
         tuple(others),
         {
             name: np.sqrt((_parts(inputs_of(study), list(map(simulate, answers()))) ** 2).sum(axis=0))
@@ -258,84 +252,55 @@ def _numerical(values: Array, levels: Sequence[Array]) -> Array:
     return found
 
 
-Tables = Sequence[tuple[Measured, Placed]]
-
-
-def _pushing(study: Study, table: Measured) -> str:
-    """Name of the constraint whose force a table has."""
-    return table.constraint or pushing(study)[0]
-
-
-def _quantities(study: Study, table: Measured, placed: Placed, factors: Array) -> list[Quantity]:
-    found = []
-    for k, point in enumerate(table.points):
-        name, step = point.name or str(k + 1), _step(table.factor(point), factors)
-        for axis, value in point.components().items():
-            deviation, distance = table.deviation(point), float(placed.distance[k])
-            u, v, w = placed.weights[k].tolist()
-            found.append(
-                Quantity(
-                    table.name,
-                    name,
-                    AXES[axis],
-                    step,
-                    value,
-                    deviation,
-                    distance,
-                    facet=int(placed.facet[k]),
-                    weights=(u, v, w),
-                )
-            )
-    if table.surface:
-        step = _step(table.factor(), factors)
-        found += [Quantity(table.name, "", what, step, 0.0, table.deviation(), 0.0) for what in (RMS, MOST)]
-    for one in table.forces:
-        name, own = _pushing(study, table), one.uncertainty
-        deviation = float(own if own is not None else table.force_uncertainty or 0.0)
-        step = full_load_step(factors)
-        found.append(Quantity(table.name, name, FORCE, step, one.force, deviation, 0.0, one.depth))
-    return found
+def _quantities(study: Study, mesh: Mesh) -> tuple[list[Quantity], dict[str, Array]]:
+    """The Q quantities of a study, and what other programs computed there: name -> (Q,), NaN where one did not."""
+    factors = np.array(study.load.history)
+    found: list[Quantity] = []
+    others: list[dict[str, float]] = []
+    for table, placed in zip(study.measured or (), place_measured(study, mesh), strict=True):
+        for k, point in enumerate(table.points):
+            name, step = point.name or str(k + 1), _step(table.factor(point), factors)
+            (u, v, w), facet = placed.weights[k].tolist(), int(placed.facet[k])
+            about = table.deviation(point), float(placed.distance[k]), np.nan, facet, (u, v, w)
+            theirs = {program: other.components() for program, other in point.others.items()}
+            for axis, value in point.components().items():
+                found.append(Quantity(table.name, name, AXES[axis], step, value, *about))
+                others.append({program: known[axis] for program, known in theirs.items() if axis in known})
+        if table.surface:
+            step = _step(table.factor(), factors)
+            found += [
+                Quantity(table.name, "", what, step, 0.0, table.deviation(), 0.0) for what in (RMS, MOST)
+            ]
+        for one in table.forces:
+            name, step = table.constraint or pushing(study)[0], full_load_step(factors)
+            own = one.uncertainty if one.uncertainty is not None else table.force_uncertainty or 0.0
+            found.append(Quantity(table.name, name, FORCE, step, one.force, float(own), 0.0, one.depth))
+        others += [{}] * (len(found) - len(others))
+    programs = dict.fromkeys(program for each in others for program in each)
+    return found, {name: np.array([each.get(name, np.nan) for each in others]) for name in programs}
 
 
 def _simulated(
-    tables: Tables, answer: Answer, mesh: Mesh, factors: Array, forces: Mapping[str, Pushed]
+    quantities: Sequence[Quantity],
+    answer: Answer,
+    mesh: Mesh,
+    pushed: Mapping[str, Pushed],
+    surfaces: Mapping[str, Array],
 ) -> Array:
-    """(Q,) S of an answer, in the order of `_quantities`; `forces` has what a table of forces is of."""
-    found: list[float] = []
-    displacement = answer.displacement
-    for table, placed in tables:
-        at_points = (
-            [placed.displacement(step, mesh.triangles) for step in displacement] if table.points else []
-        )
-        for k, point in enumerate(table.points):
-            step = _step(table.factor(point), factors)
-            found += [float(at_points[step][k, axis]) for axis in point.components()]
-        if table.surface:
-            found += _distances(table, displacement[_step(table.factor(), factors)], mesh)
-        found += [forces[table.name].force_at(one.depth, answer) for one in table.forces]
-    return np.array(found)
-
-
-def _distances(table: Measured, displacement: Array, mesh: Mesh) -> list[float]:
-    if not np.isfinite(displacement).all():
-        return [np.nan, np.nan]
-    deformed = mesh.surface_points + displacement
-    distance, _, _ = nearest_on_surface(np.array(table.surface), deformed, mesh.triangles)
-    return [float(np.sqrt((distance**2).mean())), float(distance.max())]
-
-
-def _others(tables: Tables) -> dict[str, Array]:
-    """What other programs computed at the points: name -> (Q,), NaN where one did not."""
-    names = dict.fromkeys(name for table, _ in tables for point in table.points for name in point.others)
-    found: dict[str, list[float]] = {name: [] for name in names}
-    for table, _ in tables:
-        for point in table.points:
-            for name, values in found.items():
-                known = point.others[name].components() if name in point.others else {}
-                values += [known.get(axis, np.nan) for axis in point.components()]
-        for values in found.values():
-            values += [np.nan] * ((2 if table.surface else 0) + len(table.forces))
-    return {name: np.array(values) for name, values in found.items()}
+    """(Q,) S of an answer; `pushed` has the constraints by name, `surfaces` the measured ones by table."""
+    found = np.full(len(quantities), np.nan)
+    for k, one in enumerate(quantities):
+        field = answer.displacement[one.step]
+        if one.component in AXES:
+            corners = field[mesh.triangles[one.facet], AXES.index(one.component)]
+            found[k] = np.dot(one.weights, corners)
+        elif one.component == FORCE:
+            found[k] = pushed[one.point].force_at(one.depth, answer)
+        elif one.component == RMS and np.isfinite(field).all():  # the largest comes next
+            deformed = mesh.surface_points + field
+            distance, _, _ = nearest_on_surface(surfaces[one.table], deformed, mesh.triangles)
+            found[k : k + 2] = np.sqrt((distance**2).mean()), distance.max()
+    return found
 
 
 def _step(factor: float | None, factors: Array) -> int:

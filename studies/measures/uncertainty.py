@@ -1,13 +1,10 @@
 """The error of a result from mesh levels: observed order, Richardson estimate and GCI. Pure functions.
 
-Levels are named from the finest, 0; the mesh size grows by a ratio from each to the next. The differences of
-neighbours, d01 = f1 - f0 and d12 = f2 - f1, give the observed order p by
-
-    d12 / d01 = r01^p (r12^p - 1) / (r01^p - 1),    r^p for one ratio,
-
-the estimated error of level 0, |d01| / (r01^p - 1), and its grid convergence index (GCI), a safety factor times
-that error (Roache 1994, doi 10.1115/1.2910291; Celik et al. 2008, doi 10.1115/1.2960953). What the levels do
-decides how far the estimate can be trusted:
+Levels are named from the finest, 0; the mesh size grows by a ratio r from each to the next. The differences of
+neighbours, d01 = f1 - f0 and d12 = f2 - f1, give the observed order p by d12 / d01 = r^p, the estimated error of
+level 0, |d01| / (r^p - 1), and its grid convergence index (GCI), a safety factor times that error (Roache 1994, doi
+10.1115/1.2910291; Celik et al. 2008, doi 10.1115/1.2960953). What the levels do decides how far the estimate can be
+trusted:
 
 | behaviour | is | error | factor |
 | --- | --- | --- | --- |
@@ -45,7 +42,6 @@ SAFETY, WIDE_SAFETY = 1.25, 3.0
 REASONABLE_ORDERS = (0.5, 4.0)
 STEADY = 1.0  # by how much two observed orders may differ
 RESOLUTION = 0.1  # a discrepancy is resolved where the bar is at most this share of it
-_HIGHEST_ORDER = 50.0
 
 INDENTATION_FORCE = "indentation_force_error"
 STRAINS = ("mean_strain_x", "mean_strain_y", "mean_strain_z")
@@ -133,44 +129,41 @@ def stored_estimate(reference_error: Mapping[str, float]) -> ErrorEstimate | Non
     return estimate_error(differences) if differences and all(map(math.isfinite, differences)) else None
 
 
-def estimate_error(differences: Sequence[float], ratio: float | Sequence[float] = 2.0) -> ErrorEstimate:
+def estimate_error(differences: Sequence[float], ratio: float = 2.0) -> ErrorEstimate:
     """Error of the finest level from [d01], [d01, d12] or more.
 
     Parameters
     ----------
     differences : signed, for a field their norms, each with the sign of its product with d01
-    ratio : of the mesh sizes of neighbours, one for all or one per difference
+    ratio : of the mesh sizes of neighbours
 
     Raises
     ------
     ValueError
-        no difference, one that is not finite, a ratio that is not above 1 or not one per difference.
+        no difference, one that is not finite, a ratio that is not above 1.
     """
-    ratios = [float(ratio)] * len(differences) if isinstance(ratio, int | float) else list(ratio)
-    if not differences or len(ratios) != len(differences) or min(ratios) <= 1.0:
+    if not differences or ratio <= 1.0:
         raise ValueError("an error estimate needs two mesh levels or more, each coarser than the one before")
     if not all(math.isfinite(d) for d in differences):
         raise ValueError("an error estimate needs finite differences; a mesh level has no result")
     first = abs(differences[0])
     if len(differences) == 1:
-        error = first / (ratios[0] ** ASSUMED_ORDER - 1.0)
+        error = first / (ratio**ASSUMED_ORDER - 1.0)
         return ErrorEstimate(error, SAFETY * error, math.nan, TWO_LEVELS)
-    orders = [_order(*differences[k : k + 2], *ratios[k : k + 2]) for k in range(len(differences) - 1)]
+    orders = [_order(fine, coarse, ratio) for fine, coarse in itertools.pairwise(differences)]
     order = orders[0]
     behaviour = _behaviour(differences, orders)
     if behaviour in (TOO_SLOW, OSCILLATING, DIVERGING):
         error = _largest_difference(differences)
     else:
         used = {CONVERGING: order, UNSTEADY: min(order, FORMAL_ORDER), TOO_FAST: FORMAL_ORDER}[behaviour]
-        error = first / (ratios[0] ** used - 1.0)
+        error = first / (ratio**used - 1.0)
     return ErrorEstimate(
         error, (SAFETY if behaviour == CONVERGING else WIDE_SAFETY) * error, order, behaviour
     )
 
 
-def estimate_limit(
-    values: Sequence[float], ratio: float | Sequence[float] = 2.0
-) -> tuple[float, ErrorEstimate]:
+def estimate_limit(values: Sequence[float], ratio: float = 2.0) -> tuple[float, ErrorEstimate]:
     """Richardson's extrapolation of a number on ever coarser meshes, the finest first, and the finest's error.
 
     The finest value itself where its levels do not converge.
@@ -196,29 +189,15 @@ def _behaviour(differences: Sequence[float], orders: Sequence[float]) -> str:
     return CONVERGING if all(abs(other - order) <= STEADY for other in orders[1:]) else UNSTEADY
 
 
-def _order(d01: float, d12: float, r01: float, r12: float) -> float:
+def _order(d01: float, d12: float, ratio: float) -> float:
     """Observed order, infinite where d01 alone is zero; 0 or less where the differences do not shrink."""
     if d01 == 0.0:
         return math.inf if d12 else FORMAL_ORDER
     growth = abs(d12 / d01)
-    if math.isclose(r01, r12, rel_tol=1e-9):
-        return math.log(growth) / math.log(r01) if growth else -math.inf
-
-    def excess(p: float) -> float:
-        return r01**p * math.expm1(p * math.log(r12)) / math.expm1(p * math.log(r01)) - growth
-
-    if excess(1e-9) >= 0.0:
-        return 0.0
-    if excess(_HIGHEST_ORDER) <= 0.0:
-        return math.inf
-    from scipy.optimize import brentq  # slow to load, and the report needs only the rest
-
-    return float(brentq(excess, 1e-9, _HIGHEST_ORDER, xtol=1e-12))
+    return math.log(growth) / math.log(ratio) if growth else -math.inf
 
 
 def _largest_difference(differences: Sequence[float]) -> float:
     """Between any two levels, in the units of the differences."""
-    places = [0.0]
-    for difference in differences:
-        places.append(places[-1] + difference)
+    places = list(itertools.accumulate(differences, initial=0.0))
     return max(places) - min(places)

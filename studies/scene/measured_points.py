@@ -34,10 +34,6 @@ class Placed:
     weights: Array
     distance: Array
 
-    def displacement(self, field: Array, triangles: Index) -> Array:
-        """(P, 3) of a field (N, 3) at the nodes, linear on each facet."""
-        return np.asarray(np.einsum("pc,pci->pi", self.weights, field[triangles[self.facet]]))
-
 
 def place_measured(study: Study, mesh: Mesh) -> list[Placed]:
     """Each measured table of a study on a mesh; one without points, a deformed surface, has none.

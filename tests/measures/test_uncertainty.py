@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import numpy as np
@@ -19,16 +18,16 @@ from vdmbench.measures.uncertainty import (
 )
 
 
-def power_law(order: float, ratios: list[float], size: float = 3.0, h: float = 0.1) -> list[float]:
+def power_law(order: float, ratio: float, levels: int, size: float, h: float = 0.1) -> list[float]:
     """7 + size h^order on the finest mesh and on each coarser one."""
-    return [7.0 + size * (h * s) ** order for s in np.cumprod([1.0, *ratios])]
+    return [7.0 + size * (h * ratio**level) ** order for level in range(levels)]
 
 
 @pytest.mark.parametrize("order", [0.6, 1.0, 2.0, 3.0])
-@pytest.mark.parametrize("ratios", [[1.4, 1.4], [2.0, 2.0], [2.0] * 3, [1.3, 1.7], [1.7, 1.3, 1.5]])
+@pytest.mark.parametrize(("ratio", "levels"), [(1.4, 3), (2.0, 3), (2.0, 4)])
 @pytest.mark.parametrize("size", [3.0, -3.0])
-def test_a_pure_power_law_is_recovered(order: float, ratios: list[float], size: float) -> None:
-    limit, estimate = estimate_limit(power_law(order, ratios, size), ratios)
+def test_a_pure_power_law_is_recovered(order: float, ratio: float, levels: int, size: float) -> None:
+    limit, estimate = estimate_limit(power_law(order, ratio, levels, size), ratio)
     assert estimate.behaviour == "converging"
     assert estimate.reasonable
     # differences of numbers around 7 carry 1e-15 of round-off each, the smallest of them is 1e-4
@@ -75,13 +74,6 @@ def test_an_unreasonable_order_is_named_and_not_used(
     assert estimate_limit(values)[0] == 2.0, "no extrapolation from levels that do not converge"
 
 
-@pytest.mark.parametrize("growth", [1.1, 1.3])
-def test_uneven_levels_that_do_not_shrink_diverge(growth: float) -> None:
-    """Equal differences over ratios 1.2 and 1.7 are those of a logarithm: order 0 at ln 1.7 / ln 1.2 = 2.9."""
-    assert estimate_error([0.01, 0.01 * growth], [1.2, 1.7]).behaviour == "diverging"
-    assert estimate_error([0.01, 0.01 * (3.0 + growth)], [1.2, 1.7]).behaviour == "converging"
-
-
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
 def test_the_bar_holds_a_sequence_with_a_second_term(order: float) -> None:
     """f = h^p + c h^(p+1), the second up to a quarter of the first: the GCI covers the true error."""
@@ -93,10 +85,8 @@ def test_the_bar_holds_a_sequence_with_a_second_term(order: float) -> None:
         assert estimate.gci <= 4.0 * abs(values[0])
 
 
-@pytest.mark.parametrize(
-    ("differences", "ratio"), [([], 2.0), ([0.1], 1.0), ([0.1], 0.5), ([0.1, 0.2], [2.0])]
-)
-def test_too_little_to_estimate_from(differences: list[float], ratio: float | list[float]) -> None:
+@pytest.mark.parametrize(("differences", "ratio"), [([], 2.0), ([0.1], 1.0), ([0.1], 0.5)])
+def test_too_little_to_estimate_from(differences: list[float], ratio: float) -> None:
     with pytest.raises(ValueError, match="two mesh levels"):
         estimate_error(differences, ratio)
 
@@ -136,12 +126,10 @@ def test_a_signed_figure_is_known_no_better_than_the_displacement() -> None:
 
 
 def test_a_worked_example_of_the_grid_convergence_index() -> None:
-    """Celik et al. (2008), table 1, and the figures that pyGCS 0.3 prints for it: 2.17 % and 4.11 %, order 1.53."""
-    values, cells = [6.063, 5.972, 5.863], [18000, 8000, 4500]
-    ratios = [math.sqrt(fine / coarse) for fine, coarse in itertools.pairwise(cells)]
-    limit, estimate = estimate_limit(values, ratios)
-    assert f"{estimate.observed_order:.2f}" == "1.53"
-    assert f"{100.0 * estimate.gci / values[0]:.2f}" == "2.17"
-    assert f"{limit:.4f}" == "6.1685"
-    # the middle level's, by the same order: what it lacks of the limit
-    assert f"{100.0 * 1.25 * abs(limit - values[1]) / values[1]:.2f}" == "4.11"
+    """The tutorial "Examining Spatial (Grid) Convergence" of NASA Glenn: three grids, ratio 2, factor 1.25."""
+    limit, estimate = estimate_limit([0.97050, 0.96854, 0.96178])
+    assert_allclose(estimate.observed_order, 1.786170, rtol=0, atol=5e-7)
+    assert_allclose(limit, 0.97130, rtol=0, atol=5e-6)
+    assert_allclose(100.0 * estimate.gci / 0.97050, 0.103083, rtol=0, atol=5e-7)
+    # the middle grid's, by the same order
+    assert_allclose(100.0 * 1.25 * abs(limit - 0.96854) / 0.96854, 0.356249, rtol=0, atol=5e-7)
