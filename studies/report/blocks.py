@@ -149,11 +149,10 @@ class Figure:
 
 @dataclass(frozen=True)
 class Figures:
-    """Plots side by side under one legend: (model's number, name, is the reference)."""
+    """Plots side by side."""
 
     template: ClassVar[str] = "figures"
     figures: Sequence[Figure]
-    legend: Sequence[tuple[int, str, bool]] = ()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +15,8 @@ from ..measures.case import CaseResult, Run
 from ..store.cases import no_formula
 from ..verdict.digest import Digest
 from ..verdict.formatting import NOTHING
-from ..verdict.palette import COLOURS
-from .blocks import Cell, Field, Figure, Figures, Section, Table
+from .blocks import Cell, Field, Figures, Section, Table
 from .page import asset, every_section
-from .plots import MARKER_PATHS, shape
 from .section_scene import scene
 
 
@@ -60,9 +57,6 @@ def unit_of(case: CaseResult) -> str:
     return f"the unit of {file} ({metres_per_unit(case):.6g} m)"
 
 
-_LINE = 16  # units of the drawing, height of a line of the legend
-
-
 def exported(run: Run) -> Iterator[tuple[str, str]]:
     """(name of a file, its text) of every table and every figure of a run's report."""
     digest = Digest(run)
@@ -81,7 +75,7 @@ def _of_section(section: Section) -> Iterator[tuple[str, str]]:
         elif isinstance(block, Figures):
             for figure in block.figures:
                 number += 1
-                yield f"figures/{section.id}-{number}.svg", _figure_svg(figure, block.legend)
+                yield f"figures/{section.id}-{number}.svg", standalone_svg(str(figure.svg))
 
 
 def table_csv(table: Table) -> str:
@@ -108,28 +102,9 @@ def _words(cell: Cell) -> str:
     return " ".join(filter(None, (cell.text, cell.detail)))
 
 
-def _figure_svg(figure: Figure, legend: Sequence[tuple[int, str, bool]]) -> str:
-    """A chart with its title above and its legend below."""
-    svg = re.sub(r' data-(?:x|y|told)="[^"]*"', "", str(figure.svg))  # those are for the page's script
-    x, y, width, height = map(float, re.findall(r'viewBox="([^"]+)"', svg)[0].split())
-    words = [f'<text x="{x + 4:g}" y="{y - 6:g}" font-weight="bold">{escape(figure.title)}</text>']
-    for k, (model, name, is_reference) in enumerate(legend):
-        base = y + height + _LINE * (k + 0.8)
-        if is_reference:
-            mark = 'd="M0 5H14" stroke="var(--reference)" stroke-width="1.6"'
-        else:
-            mark = f'd="{MARKER_PATHS[shape(model)]}" fill="var(--model-{model % COLOURS})"'
-        words.append(f'<path transform="translate({x + 3:g} {base - 8.5:g})" {mark}/>')
-        told = f"{name} (reference)" if is_reference else name
-        words.append(f'<text x="{x + 20:g}" y="{base:g}" fill="var(--ink)">{escape(told)}</text>')
-    box = f"{x:g} {y - 2 * _LINE:g} {width:g} {height + _LINE * (len(legend) + 2.5):g}"
-    svg = re.sub(r'viewBox="[^"]+"', f'viewBox="{box}"', svg, count=1)
-    end = svg.rindex("</svg>")
-    return standalone_svg(svg[:end] + "\n".join(words) + svg[end:])
-
-
 def standalone_svg(svg: str) -> str:
     """An SVG file of a drawing of the page, in the colours that the page has on paper."""
+    svg = re.sub(r' data-told="[^"]*"', "", svg)  # that is for the page's script
     svg = re.sub(r"var\(--([a-z0-9-]+)\)", lambda match: _colours()[match[1]], svg)
     width, height = svg.split('viewBox="', 1)[1].split('"', 1)[0].split()[2:]
     size = (

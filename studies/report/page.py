@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -129,7 +128,6 @@ def _page_html(digest: Digest, *, stills: bool) -> str:
         "take": headline.what_to_take(found),
         "limits": headline.against_limits(found, digest),
         "scene": scene(digest),
-        "cases": json.dumps([digest.case_name(case) for case in digest.cases]),
         "style": asset("page.css"),
     }
     text = ""

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 from markupsafe import Markup, escape
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from matplotlib.ticker import (
@@ -31,11 +32,11 @@ from numpy.typing import ArrayLike
 from solver_common.arrays import Array
 
 from ..verdict.digest import REFERENCE, Digest
-from ..verdict.formatting import listed, plain, quantity, short_percent
+from ..verdict.formatting import listed, plain, short_percent, span
 from ..verdict.palette import COLOURS
 from .blocks import Figure
 
-ID = "told:"  # how the id of a curve begins whose words the page's script shows
+ID = "\ue001"  # how the id of a curve begins whose words the page's script shows; no name has this letter
 # drawn in these, shown in the page's
 INK, GRID, REFERENCE_COLOUR = "#010203", "#020304", "#030405"
 MODELS = tuple(f"#0405{k:02x}" for k in range(COLOURS))
@@ -51,7 +52,6 @@ MARKER_PATHS = (
 )
 STYLE: Any = {
     "svg.fonttype": "none",
-    "svg.hashsalt": "sheet",
     "font.family": "DejaVu Sans",
     "font.size": 8.3,
     "text.color": INK,
@@ -75,37 +75,29 @@ STYLE: Any = {
 }
 
 
-def svg_of(figure: Canvas) -> str:
-    """The SVG file of a figure, to be drawn inside `rc_context(STYLE)`."""
+def svg_of(figure: Canvas, alt: str, salt: str, told: Sequence[Sequence[str]] = ()) -> Markup:
+    """A figure, drawn inside `rc_context(STYLE)`, as an <svg> element with the page's colours, sized by CSS.
+
+    Parameters
+    ----------
+    alt : what it shows, in words
+    salt : makes its ids unlike those of all other drawings of a page
+    told : of each curve the words of its points, which the page's script shows
+    """
     out = io.StringIO()
     metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with warnings.catch_warnings():
+    with rc_context({"svg.hashsalt": salt}), warnings.catch_warnings():
         # a glyph that matplotlib's own font lacks is drawn by the browser's
         warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
         figure.savefig(out, format="svg", metadata=metadata, transparent=True)
-    return out.getvalue()
-
-
-def for_the_page(svg: str, alt: str, salt: str, attributes: str = "") -> Markup:
-    """The <svg> element of a drawing with the page's colours, sized by CSS, ids unique on the page.
-
-    `alt` says in words what it shows; `attributes` are further ones for scripts. Matplotlib has escaped the
-    texts of the drawing.
-    """
+    svg = out.getvalue()
     # bare lines first: of patterns that begin with white space each takes as long as all of these together
     svg = "\n".join(filter(None, map(str.strip, svg[svg.index("<svg") :].split("\n"))))
-    view_box = re.search(r'viewBox="([^"]+)"', svg)
-    box = view_box.group(1) if view_box else ""
-    svg = svg[svg.index(">") + 1 :]
+    head, svg = svg.split(">", 1)
+    box = head.split('viewBox="')[1].split('"')[0]
     svg = svg.replace("xlink:href=", "href=")
-    told = re.findall(rf' id="{ID}([^"]*)"', svg)
-    svg = re.sub(rf' id="{ID}[^"]*"', f" {_TOLD}", svg)
-    names = dict.fromkeys(re.findall(r' id="([^"]+)"', svg))
     used = {*re.findall(r"url\(#([^)]+)\)", svg), *re.findall(r'href="#([^"]+)"', svg)}
-    short = {name: f"{salt}-{k}" for k, name in enumerate(n for n in names if n in used)}
-    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{short[m[1]]}"' if m[1] in short else "", svg)
-    svg = re.sub(r"url\(#([^)]+)\)", lambda m: f"url(#{short[m[1]]})", svg)
-    svg = re.sub(r'href="#([^"]+)"', lambda m: f'href="#{short[m[1]]}"', svg)
+    svg = re.sub(rf' id="([^"{ID}]+)"', lambda found: found[0] if found[1] in used else "", svg)
     colours = {INK: "var(--ink)", GRID: "var(--grid)", REFERENCE_COLOUR: "var(--reference)"}
     colours |= {code: f"var(--model-{k})" for k, code in enumerate(MODELS)}
     for code, variable in colours.items():
@@ -114,25 +106,23 @@ def for_the_page(svg: str, alt: str, salt: str, attributes: str = "") -> Markup:
     svg = re.sub(r" font-family: [^;\"]+;?", "", svg)
     svg = _TAG.sub(lambda tag: _BEYOND_HUNDREDTHS.sub("", tag[0]), svg)  # not in its texts
     svg = re.sub(r' transform="rotate\(-0 [^"]*"', "", svg)
-    for text in told:
-        svg = svg.replace(_TOLD, f'data-told="{text}"', 1)
-    return Markup(
-        f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}" class="plot"{attributes}>{svg}\n'
-    )
+    for k, words in enumerate(told):
+        svg = svg.replace(f'id="{ID}{k}"', f'data-told="{escape(json.dumps(words))}"')
+    return Markup(f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}" class="plot">{svg}\n')
 
 
-_TOLD = "\ue001"  # where a curve's words come back
 _TAG = re.compile(r"<[^>]*>")
 _BEYOND_HUNDREDTHS = re.compile(r"(?<=\d\.\d\d)\d+")
 
 
 _MOST_TICKS = 16
-_MOST_NAMED = 8  # curves of a chart; of more the legend tells
+_MOST_NAMED = 8  # curves of a chart that are named beside; the legend has all
 _LETTER, _HIGH, _GAP = 4.5, 8.5, 4.0  # points: of a name, and how far it is from its point
 _MOST_MARKED = 25  # points of a line
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 LINES = ("-", "--", "-.", ":")
 _WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
+_ROW = 0.19  # inches: height of a row of the legend, which is below
 # the same for all plots, so that their axes line up on the page; room for a label and ticks of eight characters
 _MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
 _LABELS = 0.045, 0.066  # how far the axes' labels are from the left and from the bottom
@@ -166,19 +156,6 @@ def shortened(text: str, most: int = 22) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def panel(x_label: str, y_label: str) -> tuple[Canvas, Axes]:
-    """An empty panel and its axes, with labels at the margins, where those of all panels line up."""
-    page = Canvas(figsize=(_WIDTH, _HEIGHT))
-    page.subplots_adjust(**_MARGINS)
-    page.patch.set_visible(False)
-    axes = page.add_subplot()
-    axes.patch.set_visible(False)
-    axes.xaxis.set_label_coords(0.5, _LABELS[1], blended_transform_factory(axes.transAxes, page.transFigure))
-    axes.yaxis.set_label_coords(_LABELS[0], 0.5, blended_transform_factory(page.transFigure, axes.transAxes))
-    axes.set(xlabel=shortened(x_label, 60), ylabel=shortened(y_label, 40))
-    return page, axes
-
-
 @dataclass(frozen=True)
 class Curve:
     """The points of one model: (K,) x and y, the case of each where they have one, further looks of the line.
@@ -192,6 +169,16 @@ class Curve:
     cases: Sequence[int] | None = None
     look: Mapping[str, Any] = field(default_factory=dict)
     band: tuple[ArrayLike, ArrayLike] | None = None
+
+    @property
+    def joined(self) -> bool:
+        """Whether a line joins its points."""
+        return self.look.get("linestyle") != "none"
+
+    @property
+    def every(self) -> int:
+        """Of its points every how manieth is marked."""
+        return max(1, math.ceil(np.size(self.x) / _MOST_MARKED)) if self.joined else 1
 
     def ends(self) -> Array:
         """From where to where its y go: the range of the band, else the first and the last."""
@@ -222,38 +209,72 @@ def lines(
     told : what is said of a curve instead of where its y axis begins and ends
     """
     with rc_context(STYLE):
-        page, axes = panel(x_label, y_label)
-        for curve in curves:
-            number = digest.colour(curve.model)
-            if curve.band is not None and np.any(np.not_equal(*curve.band)):
-                if curve.look.get("linestyle") == "none":
-                    axes.vlines(curve.x, *curve.band, color=colour(number), alpha=0.6, linewidth=1.0)
-                else:
-                    axes.fill_between(curve.x, *curve.band, color=colour(number), alpha=0.14, linewidth=0)
-            look = {
-                "color": colour(number),
-                "marker": marker(number),
-                "linestyle": line(number),
-                **curve.look,
-            }
-            joined = look["linestyle"] != "none"
-            every = max(1, math.ceil(len(np.atleast_1d(curve.x)) / _MOST_MARKED)) if joined else 1
-            (drawn,) = axes.plot(curve.x, curve.y, markevery=every, **look)
-            # no letter that an attribute would need escaped
-            plain = quote(curve.model.encode("utf-8", "replace"))
-            drawn.set_gid(f"{ID}{plain} {','.join(map(str, (curve.cases or ())[::every]))}")
-            if joined:
-                drawn.set_label(curve.model)
+        page = Canvas(figsize=(_WIDTH, _HEIGHT))
+        page.subplots_adjust(**_MARGINS)
+        page.patch.set_visible(False)
+        axes = page.add_subplot()
+        axes.patch.set_visible(False)
+        axes.set(xlabel=shortened(x_label, 60), ylabel=shortened(y_label, 40))
+        for k, curve in enumerate(curves):
+            _draw(axes, digest, curve, f"{ID}{k}")
         finish(axes)
+        _legend_below(page, axes)
         name_curves(axes)
-        for_script, svg = axes_for_script(axes), svg_of(page)
+        words = [_words(axes, digest, curve) for curve in curves]
 
-    def ends(curve: Curve) -> str:
-        found = dict.fromkeys(shown(float(y)) for y in curve.ends())
-        return f"{'from ' if len(found) > 1 else ''}{' to '.join(found)}"
+        def ends(curve: Curve) -> str:
+            found = dict.fromkeys(shown(float(y)) for y in curve.ends())
+            return f"{'from ' if len(found) > 1 else ''}{' to '.join(found)}"
 
-    words = listed(f"{curve.model} {(told or ends)(curve)}" for curve in curves)
-    return Figure(for_the_page(svg, f"{title}: {words}.", salt, for_script), title)
+        alt = listed(f"{curve.model} {(told or ends)(curve)}" for curve in curves)
+        return Figure(svg_of(page, f"{title}: {alt}.", salt, words), title)
+
+
+def _draw(axes: Axes, digest: Digest, curve: Curve, gid: str) -> None:
+    number = digest.colour(curve.model)
+    look = {"color": colour(number), "marker": marker(number), "linestyle": line(number), **curve.look}
+    if curve.band is not None and np.any(np.not_equal(*curve.band)):
+        if curve.joined:
+            axes.fill_between(curve.x, *curve.band, color=colour(number), alpha=0.14, linewidth=0)
+        else:
+            axes.vlines(curve.x, *curve.band, color=colour(number), alpha=0.6, linewidth=1.0)
+    label = f"{shortened(curve.model, 30)}{' (reference)' if curve.model == digest.reference else ''}"
+    axes.plot(curve.x, curve.y, markevery=curve.every, label=label, gid=gid, **look)
+
+
+def _words(axes: Axes, digest: Digest, curve: Curve) -> list[str]:
+    """Of each point that is marked: whose it is, its case, and where it is."""
+    cases = [digest.case_name(digest.cases[k]) for k in curve.cases or ()]
+    found = []
+    for k in range(0, np.size(curve.x), curve.every):
+        places = (axes.yaxis, float(np.asarray(curve.y)[k])), (axes.xaxis, float(np.asarray(curve.x)[k]))
+        numbers = " at ".join(filter(None, (_on_axis(*place) for place in places)))
+        found.append("\n".join([curve.model, *cases[k : k + 1], numbers]))
+    return found
+
+
+def _on_axis(axis: Axis, value: float) -> str:
+    """A value as its axis writes it, to three digits; nothing on an axis of names."""
+    formatter = axis.get_major_formatter()
+    if isinstance(formatter, FixedFormatter):
+        return ""
+    return formatter(value) if isinstance(formatter, FuncFormatter) else plain(value)
+
+
+def _legend_below(page: Canvas, axes: Axes) -> None:
+    """The names of all curves below the axes, which stay as large as they are."""
+    handles, names = axes.get_legend_handles_labels()
+    below, now = _ROW * -(-len(names) // 2), page.subplotpars
+    whole = _HEIGHT + below
+    bottom, top = ((below + _HEIGHT * share) / whole for share in (now.bottom, now.top))
+    page.set_size_inches(_WIDTH, whole)
+    page.subplots_adjust(bottom=bottom, top=top)
+    # labels at the margins, where those of all charts line up
+    down = (below + _LABELS[1] * _HEIGHT) / whole
+    axes.xaxis.set_label_coords(0.5, down, blended_transform_factory(axes.transAxes, page.transFigure))
+    axes.yaxis.set_label_coords(_LABELS[0], 0.5, blended_transform_factory(page.transFigure, axes.transAxes))
+    place: Any = {"loc": "lower left", "bbox_to_anchor": (_MARGINS["left"], 0.0), "borderaxespad": 0.0}
+    page.legend(handles, names, ncols=2, frameon=False, columnspacing=1.2, borderpad=0.0, **place)
 
 
 def level_line(axes: Axes, at: float, name: str, style: str, axis: str = "y") -> None:
@@ -293,7 +314,7 @@ def percent_axis(axes: Axes, values: ArrayLike) -> None:
 def time_axis(axes: Axes) -> None:
     """Seconds on a logarithmic x axis, named with their prefix."""
     log_axis(axes, "x")
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: quantity(value, "s", 1)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: span([value], "s", 3)))
 
 
 def log_axis(axes: Axes, which: str) -> None:
@@ -342,12 +363,13 @@ def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
             label.set_horizontalalignment("right")
 
 
-# --- whose curve a curve is: told to the page's script, which shows it under the pointer, and written beside it ---
+# --- whose curve a curve is, written beside it ---
 
 
 def name_curves(axes: Axes) -> None:
     """Write the names of joined curves above or below their last points, where nothing else is drawn."""
-    curves = [curve for curve in axes.lines if not str(curve.get_label()).startswith("_")]
+    named = [curve for curve in axes.lines if not str(curve.get_label()).startswith("_")]
+    curves = [curve for curve in named if curve.get_linestyle() != "None"]
     if not 1 < len(curves) <= _MOST_NAMED:
         return
     axes.apply_aspect()
@@ -383,22 +405,3 @@ def _drawn(curve: Line2D, *, between: bool) -> Array:
         path = path.interpolated(20)
     places = np.asarray(path.vertices)
     return places[np.isfinite(places).all(axis=1)]
-
-
-def axes_for_script(axes: Axes) -> str:
-    """Attributes that turn places on the drawing into values: scale, two values, their places [pt], unit."""
-    width, height = (float(v) * 72.0 / axes.figure.dpi for v in axes.figure.bbox.size)
-    box = axes.get_position()
-    found = []
-    for which, axis, low, high in (
-        ("x", axes.xaxis, box.x0 * width, box.x1 * width),
-        ("y", axes.yaxis, height - box.y0 * height, height - box.y1 * height),
-    ):
-        formatter = axis.get_major_formatter()
-        if isinstance(formatter, FixedFormatter):
-            continue  # names
-        shown = formatter(1.0)
-        unit = "%" if shown.endswith("%") else "s" if shown.endswith("s") else ""
-        start, end = axis.get_view_interval()
-        found.append(f' data-{which}="{axis.get_scale()} {start:.6g} {end:.6g} {low:.1f} {high:.1f} {unit}"')
-    return "".join(found)

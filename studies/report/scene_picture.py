@@ -27,7 +27,7 @@ from solver_common.arrays import Array
 from ..body.surface_measures import facet_area_vectors
 from ..verdict.formatting import plain, scale_of
 from .picture import directions, drawn
-from .plots import INK, STYLE, for_the_page, svg_of
+from .plots import INK, STYLE, svg_of
 
 # kind of a constraint -> (what it is called, colour); told apart by colour-blind readers, on light and dark ground
 KINDS = {
@@ -199,7 +199,7 @@ def scene_png(stage: Stage, lines: Sequence[str] = (), *, title: str = "", dpi: 
 def scene_svg(stage: Stage, *, alt: str, salt: str, title: str = "") -> Markup:
     """`scene_figure` as an <svg> element in the colours of the page; `alt` tells it in words."""
     with rc_context(STYLE):
-        return for_the_page(svg_of(scene_figure(stage, title=title)), alt, salt)
+        return svg_of(scene_figure(stage, title=title), alt, salt)
 
 
 def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Figure:

@@ -66,7 +66,7 @@ def errors(digest: Digest) -> Section | None:
         if _is_flat(rows, others):
             flat.append(axis.name)
         elif figures := _charts(digest, rows, axis, f"p{k}"):
-            blocks.append(Figures(figures, digest.legend))
+            blocks.append(Figures(figures))
             orders = orders or (_orders(digest, rows) if axis.key == MESH_SIZE else [])
             if (step := _stride(axis)) > 1:
                 strides[axis.name] = step
@@ -92,7 +92,7 @@ def volume_drift(digest: Digest) -> Section | None:
     rows = digest.table[(digest.table["metric"] == DRIFT) & (digest.table["load_factor"] != 0.0)]
     rows = rows.assign(value=rows["value"].abs().clip(lower=_DRIFT_FLOOR), bar=math.nan)
     figures = _charts(digest, rows, _load_axis(rows), "v", {DRIFT: "Volume drift"})
-    return Section("drift", "Volume drift", [Figures(figures, digest.legend)]) if figures else None
+    return Section("drift", "Volume drift", [Figures(figures)]) if figures else None
 
 
 def _load_axis(rows: DataFrame) -> _Axis:
@@ -189,7 +189,8 @@ def _chart(
                 "linewidth": 1.0,
                 "color": colour(REFERENCE),
             }
-            axes.plot(bars.index, bars, linestyle=style, markevery=-(-len(bars) // 25), **dots)
+            about: Any = {"markevery": -(-len(bars) // 25), "label": "the reference's own"}
+            axes.plot(bars.index, bars, linestyle=style, **about, **dots)
         elif len(bars):
             level_line(axes, float(bars.iloc[0]), "reference's own", "--")
         level_line(axes, digest.allowed(metric), "accepted", "-.")
@@ -237,7 +238,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
     return Section(
         "force",
         "Force against indentation",
-        [note("force", list(kinds), weighs), Figures(figures, digest.legend)],
+        [note("force", list(kinds), weighs), Figures(figures)],
     )
 
 
@@ -278,7 +279,7 @@ def run_time_against_error(digest: Digest) -> Section | None:
     figures = [chart for chart in charts if chart is not None]
     if not figures:
         return None
-    blocks: list[Block] = [note("cost", len(parts)), Figures(figures, digest.legend)]
+    blocks: list[Block] = [note("cost", len(parts)), Figures(figures)]
     return Section("cost", "Run time against error", blocks)
 
 

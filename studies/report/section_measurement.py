@@ -43,7 +43,7 @@ def against_measurement(digest: Digest) -> Section | None:
         units = list(dict.fromkeys(one.unit for one in found.quantities))
         blocks += [_summary(digest, found, number, unit) for unit in units]
         if figures := list(_figures(digest, case, found, number)):
-            blocks.append(Figures(figures, digest.legend))
+            blocks.append(Figures(figures))
         blocks.append(_details(case, found, number, " or ".join(units)))
     if not blocks:
         return None

@@ -448,11 +448,6 @@ class Digest:
         """The place of a name in the palette, None of what is no model of the run."""
         return self.colour(name) if name in self.models else None
 
-    @cached_property
-    def legend(self) -> list[tuple[int, str, bool]]:
-        """(number in the palette, name, is the reference) of every model; the reference comes last."""
-        return [(self.colour(name), name, name == self.reference) for name in self.models]
-
     # --- costs ---
 
     @cached_property

@@ -1,7 +1,9 @@
-"""Charts: the scale of errors, names beside curves, what the page's script is told."""
+"""Charts: what a curve shows and what the page's script is told of it."""
 
 from __future__ import annotations
 
+import html
+import json
 import re
 
 from tests.report.runs import make_case, make_run
@@ -11,14 +13,13 @@ from vdmbench.report.section_charts import errors
 from vdmbench.verdict.digest import Digest
 
 
-def test_a_curve_tells_the_script_whose_points_it_has_and_on_which_axes() -> None:
+def test_a_curve_tells_the_script_whose_points_it_has_and_where_they_are() -> None:
     name = 'a "b" <c>'
-    digest = Digest(make_run([make_case({name: 0.1}, subdivisions=0)]))
-    curve = Curve(name, [1.0, 2.0], [0.1, 0.2], [4, 7])
+    digest = Digest(make_run([make_case({name: 0.1}, label=f"k = {k}", subdivisions=0) for k in range(2)]))
+    curve = Curve(name, [1.0, 2.0], [0.1, 0.2], [1, 0])
     svg = lines(digest, [curve], "x", "y", "", "s", finish=lambda axes: percent_axis(axes, [0.1, 0.2])).svg
-    assert 'data-told="a%20%22b%22%20%3Cc%3E 4,7"' in svg
-    assert re.search(r'data-x="linear [\d.]+ [\d.]+ [\d.]+ [\d.]+ "', svg)
-    assert re.search(r'data-y="linear 0 0.216 [\d.]+ [\d.]+ %"', svg)
+    (told,) = re.findall(r'data-told="([^"]*)"', svg)
+    assert json.loads(html.unescape(told)) == [f"{name}\nk = 1\n10 % at 1", f"{name}\nk = 0\n20 % at 2"]
     group = svg[svg.index("data-told") :]
     assert group[: group.index("<g clip-path") + 500].count("<use") >= 2
 

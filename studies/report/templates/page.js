@@ -77,43 +77,28 @@
 // Charts: the case under the pointer in words, and saving a chart as a file. They are complete without this script.
 (() => {
   const NEAR = 14; // pixels
-  const caseNames = JSON.parse(document.querySelector("main").dataset.cases || "[]");
   const tip = Object.assign(document.createElement("div"), { className: "tip", hidden: true });
   document.body.append(tip);
 
-  // the points of a chart with whose they are: {x, y, name, case}; places in units of the drawing
+  // the points of a chart with their words; places in units of the drawing
   const points = new WeakMap();
   function pointsOf(svg) {
     if (points.has(svg)) return points.get(svg);
     const found = [];
     for (const group of svg.querySelectorAll("[data-told]")) {
-      const [name, cases] = group.dataset.told.split(" ");
-      const marks = [...group.querySelectorAll("use")], numbers = cases ? cases.split(",") : [];
-      const each = numbers.length === marks.length; // else the drawing left some out
+      const told = JSON.parse(group.dataset.told), marks = [...group.querySelectorAll("use")];
+      const each = told.length === marks.length; // else the drawing left some out
       marks.forEach((mark, k) => found.push({
         x: Number(mark.getAttribute("x")), y: Number(mark.getAttribute("y")),
-        name: decodeURIComponent(name), case: each ? caseNames[numbers[k]] : undefined,
+        words: each ? told[k] : told[0].split("\n")[0],
       }));
     }
     points.set(svg, found);
     return found;
   }
 
-  // a place on an axis as a text: "log 0.01 1 182 4 %" has its scale, two values, their places and the unit
-  function valueAt(axis, place) {
-    if (!axis) return "";
-    const [scale, ...rest] = axis.split(" "), unit = rest[4];
-    const [low, high, from, to] = rest.slice(0, 4).map(Number), share = (place - from) / (to - from);
-    const value = scale === "log" ? low * (high / low) ** share : low + share * (high - low);
-    if (unit === "%") return `${digits(100 * value)} %`;
-    if (unit !== "s") return digits(value);
-    const [factor, name] = [[1, "s"], [1e-3, "ms"], [1e-6, "µs"]].find(([f]) => value >= f) ?? [1e-6, "µs"];
-    return `${digits(value / factor)} ${name}`;
-  }
-  const digits = (v) => Number(v.toPrecision(3)).toString().replace("-", "−");
-
   function showTip(event) {
-    const svg = event.target.closest?.(".plot[data-y]");
+    const svg = event.target.closest?.(".plot");
     tip.hidden = true;
     if (!svg) return;
     const area = svg.getBoundingClientRect(), scale = area.width / svg.viewBox.baseVal.width;
@@ -121,8 +106,7 @@
     const distance = (p) => Math.hypot(p.x - x, p.y - y) * scale;
     const nearest = pointsOf(svg).reduce((best, p) => (distance(p) < (best ? distance(best) : NEAR) ? p : best), null);
     if (!nearest) return;
-    const values = [valueAt(svg.dataset.y, nearest.y), valueAt(svg.dataset.x, nearest.x)].filter(Boolean).join(" at ");
-    tip.textContent = [nearest.name, nearest.case, values].filter(Boolean).join("\n");
+    tip.textContent = nearest.words;
     tip.hidden = false;
     const left = area.x + nearest.x * scale + 12;
     tip.style.left = `${scrollX + Math.max(4, Math.min(left, innerWidth - tip.offsetWidth - 8))}px`;
@@ -135,39 +119,14 @@
   // the values that the page has in light, whatever it is shown in
   const light = document.styleSheets[0].cssRules[0].style;
   const resolved = (text) => text.replace(/var\((--[\w-]+)\)/g, (_, name) => light.getPropertyValue(name).trim());
-  const SVG = "http://www.w3.org/2000/svg";
-  const LINE = 13, LEGEND_FROM = 12; // units of the drawing
 
   function savedChart(figure) {
     const svg = figure.querySelector(".plot").cloneNode(true);
     const { width, height } = figure.querySelector(".plot").viewBox.baseVal;
-    const drawn = new Set([...svg.querySelectorAll("[data-told]")].map((g) => decodeURIComponent(g.dataset.told.split(" ")[0])));
-    const entries = [...(figure.closest(".charts")?.querySelectorAll(".legend li") ?? [])]
-      .map((li) => ({ swatch: li.querySelector(".swatch"), name: li.textContent.trim() }))
-      .filter(({ swatch, name }) => drawn.has(name) || swatch.matches(".reference"));
-    entries.forEach(({ swatch, name }, k) => {
-      const row = document.createElementNS(SVG, "g"), mark = swatch.cloneNode(true), text = document.createElementNS(SVG, "text");
-      const variable = swatch.matches(".reference") ? "--reference" : `--${[...swatch.classList].find((c) => c.startsWith("model-"))}`;
-      for (const use of mark.querySelectorAll("use")) use.replaceWith(document.querySelector(use.getAttribute("href")).cloneNode());
-      for (const path of mark.querySelectorAll("path")) {
-        path.removeAttribute("id");
-        const [fill, stroke] = path.getAttribute("d").startsWith("M0 5H") ? ["none", `var(${variable})`] : [`var(${variable})`, "none"];
-        path.setAttribute("style", `fill: ${fill}; stroke: ${stroke}; stroke-width: 1.6`);
-      }
-      row.setAttribute("transform", `translate(${LEGEND_FROM} ${height + LINE * k})`);
-      text.setAttribute("x", "19");
-      text.setAttribute("y", "8.5");
-      text.setAttribute("style", "font-size: 8.3px");
-      text.textContent = name;
-      row.append(...mark.childNodes, text);
-      svg.append(row);
-    });
-    const total = height + LINE * entries.length + (entries.length ? 4 : 0);
-    svg.setAttribute("viewBox", `0 0 ${width} ${total}`);
     svg.setAttribute("width", `${width}pt`);
-    svg.setAttribute("height", `${total}pt`);
-    svg.setAttribute("style", "fill: var(--ink); font-family: sans-serif; background: #fff");
-    for (const name of ["class", "data-x", "data-y"]) svg.removeAttribute(name);
+    svg.setAttribute("height", `${height}pt`);
+    svg.setAttribute("style", "fill: var(--ink); font-family: sans-serif; font-size: 8.3px; background: #fff");
+    svg.removeAttribute("class");
     for (const group of svg.querySelectorAll("[data-told]")) group.removeAttribute("data-told");
     return resolved(new XMLSerializer().serializeToString(svg));
   }
