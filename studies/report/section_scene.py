@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from itertools import combinations, product
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -18,21 +20,18 @@ from ..study.loads import Constraint
 from ..study.schema import Inclusion
 from ..verdict.acceptance import kind_of, name_of
 from ..verdict.digest import Digest
-from ..verdict.formatting import listed, plain, plural, scale_of, short_percent, span
+from ..verdict.formatting import capital
+from ..verdict.words import said
 from .blocks import Scene
 from .scene_picture import PART, Outline, Part, Stage, scene_svg, style_of
 
-MOST_STRAIN = 0.1  # within a part, beyond which it is told
-_REPAIRED = {
-    "facets_flipped": "turned outward",
-    "facets_dropped": "without area or repeated left out",
-    "facets_of_other_pieces": "of other pieces left out",
-    "facets_added": "added to close holes",
-}
-FILLED = {"empty": "empty", "fluid": "filled with an incompressible fluid"}
-_ALL_ROUND = (
-    0.05  # of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
-)
+_WORDS = Path(__file__).parent / "templates" / "scene.txt"
+# of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
+_ALL_ROUND = 0.05
+
+
+def _said(macro: str, *about: Any) -> str:
+    return " ".join(said(macro, *about, file=_WORDS))
 
 
 def scene(digest: Digest) -> Scene | None:
@@ -63,8 +62,7 @@ def _cut_bodies(case: CaseResult) -> list[Markup]:
         for k in range(1, int(of_node.max()) + 1):
             nodes = np.isin(np.arange(len(of_node)), case.triangles[of_facet == k])
             turn, strain = (float(told[f"{what}_of_part_{k}"]) for what in ("rotation", "strain"))
-            words = f"turned {np.degrees(turn):.0f}°, strain {short_percent(strain)}"
-            parts.append(Part(words, PART, nodes, number=k))
+            parts.append(Part(_said("part", turn, strain), PART, nodes, number=k))
         stage = Stage(case.points + moved, case.triangles, parts)
         title, words = f"{name} at full load, in parts", _parts_words(case, name)
         drawn.append(scene_svg(stage, alt=words, salt=f"parts-{len(drawn)}", title=title))
@@ -95,7 +93,7 @@ def _direction(case: CaseResult, kind: str, constraint: Constraint) -> Array | N
 def outlines_of(case: CaseResult) -> list[Outline]:
     """Where the inclusions are: three great circles of a ball, the edges of a box; of a group nothing is known."""
     found = []
-    for entry in _inclusions(case):
+    for entry in case.study.inclusions or ():
         if ball := entry.ball:
             lines = ball.radius * _circles() + np.array(ball.center)
         elif box := entry.box:
@@ -122,122 +120,80 @@ def _edges() -> Array:
     return corners[np.array(ends)]
 
 
-def _inclusions(case: CaseResult) -> list[Inclusion]:
-    return list(case.study.inclusions or ())
-
-
-def _scan_words(cases: Sequence[CaseResult]) -> str:
-    """How far the bodies are from the surface of the file that they are from, at worst; "" where there is none."""
-    if not any("surface_distance_max" in case.mesh_quality and case.study.geometry.path for case in cases):
-        return ""
-    worst = {
-        key: max((case.mesh_quality.get(key, 0.0) for case in cases), key=abs)
-        for key in ("surface_distance_max", "surface_distance_mean", "volume_change", *_REPAIRED)
-    }
-    moved, mean = (plain(1e3 * worst[f"surface_distance_{which}"], 2) for which in ("max", "mean"))
-    told = (
-        f"remeshing moved the surface by up to {moved} mm ({mean} mm in the mean) and changed its volume by "
-    )
-    repaired = [f"{plural(int(n), 'facet')} {what}" for key, what in _REPAIRED.items() if (n := worst[key])]
-    return ", ".join([told + short_percent(worst["volume_change"]), *repaired])
-
-
-def _scanned_words(cases: Sequence[CaseResult]) -> str:
-    """How far the scanned shapes are from those at rest, as each model found them."""
-    found: dict[str, list[float]] = {}
-    for case in cases:
-        for name, model in case.models.items():
-            if REST_DISTANCE in model.scalars:
-                found.setdefault(name, []).append(float(model.scalars[REST_DISTANCE][0]))
-    told = [f"{span(values, 'm', 2)} ({name})" for name, values in found.items()]
-    return f"scanned under it, where its surface is up to {listed(told)} from its rest shape" if told else ""
-
-
 def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str, str]]:
     """(what, value) of tissue, body, mesh and constraints, with the ranges over all `cases`."""
-    tissue = [f"Young's modulus {_over(cases, 'tissue', 'youngs_modulus', 'Pa')}"]
-    tissue.append(f"Poisson ratio {_over(cases, 'tissue', 'poisson_ratio', '1')}")
-    laws = dict.fromkeys(law for other in cases if (law := other.study.tissue.law))
-    if laws:
-        tissue.append(f"{listed(laws)} at large strain")
-    if any(other.study.anisotropy for other in cases):
-        tissue.append(f"{_over(cases, 'anisotropy', 'contrast', '1')} times as stiff along its fibres")
-    if any(other.study.gravity for other in cases):
-        tissue.append(f"with weight, density {_over(cases, 'tissue', 'density', '1')} kg/m³")
-    if told := _scanned_words(cases):
-        tissue.append(told)
-    rows = [("Tissue", ", ".join(part for part in tissue if not part.endswith(" ")))]
-    for number, entry in enumerate(_inclusions(case)):
-        rows.append(("Inclusion", _inclusion_words(number, entry, case, cases)))
-    named = [other.study.geometry.shape for other in cases]
-    shapes = dict.fromkeys("from a file" if shape == "file" else shape for shape in named)
-    extents = np.ptp(case.points, axis=0)
-    factor, unit = scale_of("m", extents)
-    lengths = " × ".join(plain(float(length) / factor, 2) for length in extents) + f" {unit}"
-    body = [listed(filter(None, shapes)), lengths if len(shapes) == 1 else ""]
-    rows.append(("Body", ", ".join(filter(None, body))))
-    rows += [("Cavities", _cavities_words(case)), ("Scan", _scan_words(cases))]
-    size = _over(cases, "geometry", "mesh_size", "m")
-    nodes = span([len(other.points) for other in cases], "1", 9)
-    rows.append(("Mesh", f"{nodes} surface nodes" + (f", {size} apart" if size else "")))
+    rows = [("Tissue", _said("tissue", _tissue(cases)))]
+    for k, entry in enumerate(case.study.inclusions or ()):
+        rows.append(("Inclusion", _said("inclusion", _inclusion(entry, k, case, cases))))
+    shapes = list(dict.fromkeys(other.study.geometry.shape for other in cases))
+    rows.append(("Body", _said("body", shapes, np.ptp(case.points, axis=0))))
+    if case.study.geometry.cavities is not None:
+        rows.append(("Cavities", _said("cavities", _cavities(case), case.study.geometry.cavities)))
+    if any("surface_distance_max" in other.mesh_quality and other.study.geometry.path for other in cases):
+        keys = dict.fromkeys(key for other in cases for key in other.mesh_quality)
+        worst = {key: max((other.mesh_quality.get(key, 0.0) for other in cases), key=abs) for key in keys}
+        rows.append(("Scan", _said("scan", worst)))
+    nodes, sizes = [len(other.points) for other in cases], _over(cases, "geometry", "mesh_size")
+    rows.append(("Mesh", _said("mesh", nodes, sizes)))
     rows += [("Parts", words) for name in case.models if (words := _parts_words(case, name))]
     for constraint in case.study.constraints:
-        name, kind = name_of(constraint), kind_of(constraint)
-        mask = case.regions[constraint.region]
-        rows.append((style_of(kind)[0].capitalize(), _in_words(case, cases, name, constraint, mask)))
-    return [(what, value) for what, value in rows if value]
+        name, within = name_of(constraint), case.points[case.regions[constraint.region]]
+        middle = (within.min(axis=0) + within.max(axis=0)) / 2 if len(within) else 0.0
+        about = {
+            "name": name,
+            "load": _load(name, cases),
+            "profile": constraint.profile if constraint.kind == "contact" else None,
+            "nodes": len(within),
+            "across": 2.0 * float(np.linalg.norm(within - middle, axis=1).max()) if len(within) else None,
+        }
+        rows.append((capital(style_of(kind_of(constraint))[0]), _said("constraint", about)))
+    return rows
 
 
-def _cavities_words(case: CaseResult) -> str:
-    """How many closed surfaces are inside the outer one, how much room they leave and what is in it."""
-    content = case.study.geometry.cavities
-    if content is None:
-        return ""
+def _tissue(cases: Sequence[CaseResult]) -> dict[str, Any]:
+    """Its values over all cases; `rest` is how far the scanned shapes are from those at rest, by model."""
+    rest: dict[str, list[float]] = {}
+    for name, model in ((name, model) for case in cases for name, model in case.models.items()):
+        if REST_DISTANCE in model.scalars:
+            rest.setdefault(name, []).append(float(model.scalars[REST_DISTANCE][0]))
+    return {
+        "young": _over(cases, "tissue", "youngs_modulus"),
+        "poisson": _over(cases, "tissue", "poisson_ratio"),
+        "laws": list(dict.fromkeys(law for case in cases if (law := case.study.tissue.law))),
+        "contrast": _over(cases, "anisotropy", "contrast"),
+        "weight": any(case.study.gravity for case in cases),
+        "density": _over(cases, "tissue", "density"),
+        "rest": rest,
+    }
+
+
+def _inclusion(entry: Inclusion, k: int, case: CaseResult, cases: Sequence[CaseResult]) -> dict[str, Any]:
+    """Its name, size and moduli over all cases, and who leaves it out."""
+    same = [found[k] for other in cases if len(found := other.study.inclusions or ()) > k]
+    return {
+        "name": entry.name,
+        "young": [one.youngs_modulus for one in same],
+        "poisson": [one.poisson_ratio for one in same if one.poisson_ratio is not None],
+        "radius": entry.ball.radius if entry.ball else None,
+        "unknown_to": case.study.study.homogeneous,
+    }
+
+
+def _cavities(case: CaseResult) -> list[float]:
+    """The volumes of the closed surfaces inside the outer one [m^3]."""
     of_facet = shells(case.points, case.triangles)
-    volumes = -piece_volumes(case.points, case.triangles, of_facet, of_facet.max() + 1)[1:]
-    each = span(volumes.tolist(), "m^3", 2)
-    return f"{plural(len(volumes), 'cavity', 'cavities')} of {each}, {FILLED[content]}"
+    volumes = piece_volumes(case.points, case.triangles, of_facet, of_facet.max() + 1)
+    return [-float(volume) for volume in volumes[1:]]
 
 
 def _parts_words(case: CaseResult, name: str) -> str:
     """Into how many parts a model cut the body, and how far each turned and is strained at full load."""
-    found = {key: values[case.full_load] for key, values in case.models[name].scalars.items()}
+    found = {key: float(values[case.full_load]) for key, values in case.models[name].scalars.items()}
     if not found.get("parts", math.nan) > 0:
         return ""
-    count, strain = int(found["parts"]), float(found["part_strain"])
-    turns = listed(f"{np.degrees(found[f'rotation_of_part_{k}']):.0f}°" for k in range(1, count + 1))
-    told = f"{name}: {plural(count, 'part')}, turned by {turns}, strained by up to {short_percent(strain)} within"
-    if strain > MOST_STRAIN:
-        told += " (a part follows small strain)"
-    if (bar := found.get("parts_error")) is None:
-        return told
-    if math.isnan(bar):
-        return f"{told}; twice as many find no balance, so what they would change is not known"
-    return f"{told}; twice as many change the answer by {short_percent(bar)}"
-
-
-def _inclusion_words(number: int, entry: Inclusion, case: CaseResult, cases: Sequence[CaseResult]) -> str:
-    """Its name, size and moduli over all cases, and who leaves it out."""
-    same = [found[number] for other in cases if len(found := _inclusions(other)) > number]
-    young = span([one.youngs_modulus for one in same], "Pa")
-    ratio = [one.poisson_ratio for one in same if one.poisson_ratio is not None]
-    size = f"{plain(2e3 * entry.ball.radius, 2)} mm across" if entry.ball else ""
-    leave_out = case.study.study.homogeneous
-    unknown = f"unknown to {listed(leave_out)}" if leave_out else ""
-    told = (f"Poisson ratio {span(ratio, '1')}" if ratio else "", size, unknown)
-    return ", ".join(filter(None, [entry.name, f"Young's modulus {young}", *told]))
-
-
-def _in_words(
-    case: CaseResult, cases: Sequence[CaseResult], name: str, constraint: Constraint, mask: np.ndarray
-) -> str:
-    nodes, profile = case.points[mask], constraint.profile
-    across = ""
-    if len(nodes):
-        middle = (nodes.min(axis=0) + nodes.max(axis=0)) / 2
-        across = f"{plain(2e3 * float(np.linalg.norm(nodes - middle, axis=1).max()), 2)} mm across"
-    shape = f"{profile} pressure" if constraint.kind == "contact" and profile else ""
-    return ", ".join(filter(None, [name, _load(name, cases), shape, plural(len(nodes), "node"), across]))
+    turns = [found[f"rotation_of_part_{k}"] for k in range(1, int(found["parts"]) + 1)]
+    about = {"strain": found["part_strain"], "bar": found.get("parts_error")}
+    return _said("parts", {"name": name, "turns": turns, **about})
 
 
 def _thrust(case: CaseResult, constraint: Constraint) -> Array | None:
@@ -270,14 +226,10 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
                 found.setdefault("m", []).append(factor * constraint.depth)
             elif kind_of(constraint) == "constrained" and constraint.displacement is not None:
                 found.setdefault("m", []).append(factor * float(np.linalg.norm(constraint.displacement)))
-    told = [
-        f"peak {span(values, 'Pa')}" if unit == "peak" else span(values, unit)
-        for unit, values in found.items()
-    ]
-    return " or ".join(told)
+    return _said("load", found)
 
 
-def _over(cases: Iterable[CaseResult], table: str, key: str, unit: str) -> str:
-    """The values of a key of the study over all cases; empty where none has it."""
+def _over(cases: Iterable[CaseResult], table: str, key: str) -> list[float]:
+    """The values of a key of the study over all cases; none where none has it."""
     values = [getattr(getattr(case.study, table), key, None) for case in cases]
-    return span([float(value) for value in values if isinstance(value, int | float)], unit)
+    return [float(value) for value in values if isinstance(value, int | float)]

@@ -120,6 +120,12 @@ def span(values: Sequence[float], unit: str, digits: int = 4) -> str:
     return f"{' to '.join(ends)} {shown}".strip()
 
 
+def lengths(values: Sequence[float]) -> str:
+    """`100 × 80 × 40 mm`."""
+    factor, unit = scale_of("m", values)
+    return f"{' × '.join(plain(float(value) / factor, 2) for value in values)} {unit}"
+
+
 def swept_value(value: float | str, unit: str) -> str:
     """A swept parameter's value, exact enough to tell it from its neighbours."""
     if isinstance(value, str):

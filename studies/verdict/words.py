@@ -121,6 +121,10 @@ def _templates(file: Path) -> Any:
         "capital": f.capital,
         "load": f.load_in_words,
         "loads": _loads,
+        "span": lambda values, unit="1", digits=4: f.span(values, unit, digits),
+        "mm": lambda metres: f"{f.plain(1e3 * metres, 2)} mm",
+        "lengths": f.lengths,
+        "degrees": lambda angle: f"{math.degrees(angle):.0f}°",
     }
     return environment.get_template(file.name).module
 
