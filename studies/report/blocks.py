@@ -57,13 +57,14 @@ def bar_detail(
     return f"± {shown(bar)}" + ("" if is_resolved(value, bar) else "\nunresolved")
 
 
-def spread_cell(spread: Spread | None, unit: str) -> Cell | None:
-    """The median over the cases with its bar, and the worst of several."""
+def spread_cell(spread: Spread | None, unit: str, floor: float = math.nan) -> Cell | None:
+    """The median over the cases with its bar, the worst of several, and what none can be below."""
     if spread is None:
         return None
-    bar = bar_detail(spread.median, spread.median_bar, lambda value: of_unit(value, unit), unknown="")
+    bar = bar_detail(spread.value, spread.bar, lambda value: of_unit(value, unit), unknown="")
     worst = f"worst {of_unit(spread.worst, unit)}" if spread.cases > 1 else ""
-    return Cell(of_unit(spread.median, unit), "\n".join(filter(None, [bar, worst])), spread.median)
+    least = f"floor {percent(floor)}" if math.isfinite(floor) else ""
+    return Cell(of_unit(spread.value, unit), "\n".join(filter(None, [bar, worst, least])), spread.value)
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,22 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+from ..machine import plain
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.registry import Family
-from ..verdict.advice import Advice, Figures
-from ..verdict.digest import CONTACT, DRIFT, HAUSDORFF, NORMAL, Digest, Spread, digest_of, median_known
+from ..verdict.advice import Advice
+from ..verdict.digest import (
+    CONTACT,
+    DRIFT,
+    HAUSDORFF,
+    NORMAL,
+    Digest,
+    Figures,
+    Spread,
+    digest_of,
+    median_known,
+)
 from ..verdict.formatting import (
     NOTHING,
     capital,
@@ -25,6 +36,14 @@ from ..verdict.words import TITLES, said, told, why_not
 from .blocks import Cell, Field, Section, Table, frame_table, note, spread_cell
 from .section_tables import stopped_models
 
+# metric -> column of the table, unit
+ERRORS = {
+    NORMAL: ("Normal error", "1"),
+    CONTACT: ("Contact region", "1"),
+    HAUSDORFF: ("Hausdorff distance", "m"),
+    VECTOR: ("Displacement error", "1"),
+    DEFORMATION: ("Change of shape", "1"),
+}
 TONES = {"yes": "good", "no": "bad", "not judged": "muted"}
 
 
@@ -107,28 +126,38 @@ def headline(digest: Digest) -> Section | None:
         return None
     along_normals = any(math.isfinite(digest.floor(name)) for name in digest.models)
     small_print = note(
-        "headline", len(digest.cases), bool(digest.compared), along_normals, list(digest.costs.values())
+        "headline", len(digest.cases), bool(digest.compared), along_normals, list(digest.figures.values())
     )
     return Section("headline", "How far off, and at what cost", [_table(digest), small_print])
 
 
 def _table(digest: Digest) -> Table:
+    def error(metric: str) -> Field:
+        title, unit = ERRORS[metric]
+
+        def of(name: str) -> Cell | None:
+            floor = digest.floor(name) if metric == VECTOR else math.nan
+            return spread_cell(digest.spread(name, metric), unit, floor)
+
+        return Field(title, of, unit)
+
+    def seconds(title: str, which: str) -> Field:
+        def of(name: str) -> Cell:
+            known = digest.figures[name]
+            everywhere = [f"{quantity(known.everywhere, 's')} all nodes"] if known.everywhere > 0.0 else []
+            detail = "\n".join([*(everywhere if which == "frame" else []), *known.marks])
+            return Cell(quantity(getattr(known, which), "s"), detail, getattr(known, which))
+
+        return Field(title, of, "s")
+
     scalar = any(math.isfinite(digest.floor(name)) for name in digest.models)
-
-    def spread(metric: str, unit: str = "1") -> Any:
-        return lambda name: spread_cell(digest.spread(name, metric), unit)
-
     fields = [
         Field("Model", lambda name: Cell(name, _about(digest, name))),
-        *([Field("Normal error", spread(NORMAL), "1")] if scalar else []),
-        Field("Contact region", spread(CONTACT), "1"),
-        Field("Hausdorff distance", spread(HAUSDORFF, "m"), "m"),
-        Field("Displacement error", lambda name: _displacement(digest, name), "1"),
-        Field("Change of shape", spread(DEFORMATION), "1"),
+        *(error(metric) for metric in ERRORS if scalar or metric != NORMAL),
         Field("Volume drift", lambda name: _drift(digest.spread(name, DRIFT)), "1", detail="worst"),
-        Field("Set-up", lambda name: _time(digest, name, digest.costs[name].set_up), "s"),
-        Field("A frame", lambda name: _time(digest, name, digest.costs[name].frame, frame=True), "s"),
-        Field("Memory", lambda name: digest.costs[name].memory, "B"),
+        seconds("Set-up", "set_up"),
+        seconds("A frame", "frame"),
+        Field("Memory", lambda name: digest.figures[name].memory, "B"),
     ]
     return frame_table(digest.models, fields, "headline", mark=digest.mark)
 
@@ -139,25 +168,12 @@ def _about(digest: Digest, name: str) -> str:
     return ", ".join([*about, *([f"incomplete in {plural(stopped, 'case')}"] if stopped else [])])
 
 
-def _displacement(digest: Digest, name: str) -> Cell | None:
-    cell, floor = spread_cell(digest.spread(name, VECTOR), "1"), digest.floor(name)
-    if cell is None or not math.isfinite(floor):
-        return cell
-    return Cell(cell.text, f"{cell.detail}\nfloor {percent(floor)}", cell.value)
-
-
 def _drift(spread: Spread | None) -> Cell | None:
     """The largest drift; of the reference's own, which is an estimate, with its bar."""
     if spread is None:
         return None
     bar = f"± {percent(spread.worst_bar)}" if math.isfinite(spread.worst_bar) else ""
     return Cell(percent(spread.worst, signed=True), bar, spread.worst)
-
-
-def _time(digest: Digest, name: str, seconds: float, *, frame: bool = False) -> Cell | None:
-    cost, everywhere = digest.costs[name], digest.costs[name].everywhere
-    how = [f"{quantity(everywhere, 's')} all nodes"] if frame and math.isfinite(everywhere) else []
-    return Cell(quantity(seconds, "s"), "\n".join([*how, *cost.marks]), seconds)
 
 
 # --- for a terminal and for programs ---
@@ -182,9 +198,9 @@ def terminal_rows(digest: Digest) -> list[dict[str, str]]:
     """The rows of a table that fits 80 columns: a line a model, and one for the worst of several cases."""
     rows: list[dict[str, str]] = []
     metrics = {"displacement": VECTOR, "change of shape": DEFORMATION} if digest.compared else {}
-    for name, cost in digest.costs.items():
+    for name, cost in digest.figures.items():
         spreads = {key: digest.spread(name, metric) for key, metric in metrics.items()}
-        errors = {key: percent(spread.median) if spread else NOTHING for key, spread in spreads.items()}
+        errors = {key: percent(spread.value) if spread else NOTHING for key, spread in spreads.items()}
         if name == digest.reference:
             errors = {key: f"± {percent(median_known(digest.bars(of)))}" for key, of in metrics.items()}
         times = {"set-up": quantity(cost.set_up, "s"), "per frame": quantity(cost.frame, "s")}
@@ -196,32 +212,24 @@ def terminal_rows(digest: Digest) -> list[dict[str, str]]:
 
 
 def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
-    """The numbers of the table: model -> measure -> value (median), worst, bars, unit; None for none.
+    """The numbers of the table: model -> measure -> value (median), worst, bars, unit, cases; None for none.
 
     Times have "measured" too: what stands beside them there.
     """
     digest = digest_of(run)
+    units = {metric: unit for metric, (_, unit) in ERRORS.items()} | {DRIFT: "1"}
     found: dict[str, dict[str, dict[str, Any]]] = {}
-    units = {VECTOR: "1", DEFORMATION: "1", NORMAL: "1", CONTACT: "1", HAUSDORFF: "m", DRIFT: "1"}
-    for name, cost in digest.costs.items():
-        times = {"seconds_setup": cost.set_up, "seconds_per_step": cost.frame}
-        times["seconds_everywhere"] = cost.everywhere
+    for name, known in digest.figures.items():
+        times = {"seconds_setup": known.set_up, "seconds_per_step": known.frame}
+        costs = {key: (value, "s") for key, value in times.items()}
+        costs |= {"seconds_everywhere": (known.everywhere, "s"), "peak_bytes": (known.memory, "B")}
+        spreads = {metric: (digest.spread(name, metric), unit) for metric, unit in units.items()}
+        spreads |= {key: (Spread(value), unit) for key, (value, unit) in costs.items()}
         found[name] = {
-            **{
-                metric: _numbers(spread.median, spread.worst, spread.median_bar, spread.worst_bar, unit=unit)
-                for metric, unit in units.items()
-                if (spread := digest.spread(name, metric)) is not None
-            },
-            **{key: _numbers(seconds, unit="s") for key, seconds in times.items()},
-            "peak_bytes": _numbers(cost.memory, unit="B"),
+            key: plain(spread) | {"unit": unit}
+            for key, (spread, unit) in spreads.items()
+            if spread is not None
         }
-        for key in ("seconds_setup", "seconds_per_step"):
-            found[name][key]["measured"] = list(cost.marks)
+        for key in times:
+            found[name][key]["measured"] = list(known.marks)
     return found
-
-
-def _numbers(
-    value: float, worst: float = math.nan, bar: float = math.nan, worst_bar: float = math.nan, *, unit: str
-) -> dict[str, Any]:
-    numbers = {"value": value, "worst": worst, "bar": bar, "worst_bar": worst_bar}
-    return {key: float(n) if math.isfinite(n) else None for key, n in numbers.items()} | {"unit": unit}

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..measures.case import CaseResult
-from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.registry import FINITE_STRAIN, Family, is_linear, is_surface, split
 from .acceptance import BEYOND, FRAME_TIME, LOST, OPEN, WITHIN, Criterion
-from .digest import NORMAL, Digest, failed_steps
+from .digest import Digest, Figures, failed_steps
 
 MODEL, LEFT_OUT, SMALL_STRAIN, MESH = "model", "left out", "small strain", "mesh"
 COMPRESSIBILITY = "compressibility"
@@ -242,33 +241,6 @@ RESTING, MOVING, CUTTING, EXACT = (
 
 
 @dataclass(frozen=True)
-class Figures:
-    """A model in numbers, medians over the cases; NaN where not known.
-
-    Attributes
-    ----------
-    lead, value, bar : the number that leads in words, the normal error of a model that moves along normals, else
-        the displacement error; its value, and the reference's own part in it
-    displacement, deformation : both errors
-    frame, set_up : times [s]
-    same : whether it has the reference's own numbers on its mesh, of which no error tells anything
-    within, cases : cases within all limits, of all
-    """
-
-    model: str
-    lead: str = ""
-    value: float = math.nan
-    bar: float = math.nan
-    displacement: float = math.nan
-    deformation: float = math.nan
-    frame: float = math.nan
-    set_up: float = math.nan
-    same: bool = False
-    within: int = 0
-    cases: int = 0
-
-
-@dataclass(frozen=True)
 class Advice:
     """What to take for one kind of interaction: the models that this study measured, the first before others.
 
@@ -301,7 +273,7 @@ def _resting(digest: Digest) -> Advice:
     """Every linear model costs the same small product per frame there; condensed elements err as linear ones do."""
     for name in (CONDENSED, LINEAR):
         if name in digest.compared and math.isfinite(digest.shares(name).max(initial=0.0)):
-            found = figures(digest, name)
+            found = digest.figures[name]
             told = found if name == CONDENSED else replace(found, frame=math.nan, set_up=math.nan)
             return Advice(RESTING, "condensed", (told,))
     return Advice(RESTING, "condensed")
@@ -309,17 +281,17 @@ def _resting(digest: Digest) -> Advice:
 
 def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
     limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.inf)
-    quick = [n for n in surface if limit == math.inf or digest.costs[n].frame <= limit]
+    quick = [n for n in surface if limit == math.inf or digest.figures[n].frame <= limit]
     if not quick:
         return Advice(MOVING, "none quick enough", allowed=limit)
-    return Advice(MOVING, "closest surface", (figures(digest, _closest(digest, quick)),))
+    return Advice(MOVING, "closest surface", (digest.figures[_closest(digest, quick)],))
 
 
 def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
     """A cut makes a new body: the least set-up, and what the closest form's costs."""
-    first = min(surface, key=lambda name: digest.costs[name].set_up)
+    first = min(surface, key=lambda name: digest.figures[name].set_up)
     names = dict.fromkeys([first, _closest(digest, surface)])
-    return Advice(CUTTING, "set-up", tuple(figures(digest, name) for name in names))
+    return Advice(CUTTING, "set-up", tuple(digest.figures[name] for name in names))
 
 
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
@@ -330,32 +302,8 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
     best = _closest(digest, [*told, *surface]) if told else elements[0]
     reference = digest.reference
     if told and reference is not None and digest.usual_share(best) > 1.0:
-        costs = digest.costs[reference]
-        own = Figures(reference, frame=costs.frame, set_up=costs.set_up, same=True)
-        return Advice(EXACT, "reference", (own,))
-    return Advice(EXACT, "closer surface" if best in surface else "elements", (figures(digest, best),))
-
-
-# --- figures ---
-
-
-def figures(digest: Digest, name: str) -> Figures:
-    """What is known of a compared model."""
-    metric, costs = digest.leading(name), digest.costs[name]
-    lead = digest.spread(name, metric)
-    return Figures(
-        model=name,
-        lead="normal error" if metric == NORMAL else "displacement error",
-        value=lead.median if lead else math.nan,
-        bar=lead.median_bar if lead else math.nan,
-        displacement=digest.median(name, VECTOR),
-        deformation=digest.median(name, DEFORMATION),
-        frame=costs.frame,
-        set_up=costs.set_up,
-        same=digest.same_as_reference(name),
-        within=int((digest.standing(name) == WITHIN).sum()),
-        cases=len(digest.cases),
-    )
+        return Advice(EXACT, "reference", (digest.figures[reference],))
+    return Advice(EXACT, "closer surface" if best in surface else "elements", (digest.figures[best],))
 
 
 def _closest(digest: Digest, names: Iterable[str]) -> str:

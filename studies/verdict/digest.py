@@ -26,6 +26,7 @@ from . import palette
 from .acceptance import (
     LOST,
     NOT_ASKED,
+    WITHIN,
     WORDS,
     Criterion,
     KnownLoads,
@@ -60,13 +61,13 @@ def failed_steps(model: ModelResult) -> list[int]:
 
 @dataclass(frozen=True)
 class Spread:
-    """A measure over the cases that have it, each value with the reference's own error in that case."""
+    """A measure over the cases that have it: median and worst, each with the reference's own error in it."""
 
-    median: float
-    median_bar: float
-    worst: float
-    worst_bar: float
-    cases: int
+    value: float
+    bar: float = math.nan
+    worst: float = math.nan
+    worst_bar: float = math.nan
+    cases: int = 0
 
 
 def spread_of(values: Array, bars: Array) -> Spread | None:
@@ -77,28 +78,41 @@ def spread_of(values: Array, bars: Array) -> Spread | None:
     values, bars = values[kept], bars[kept]
     worst = int(np.argmax(np.abs(values)))
     return Spread(
-        median=float(np.median(values)),
-        median_bar=median_known(bars),
-        worst=float(values[worst]),
-        worst_bar=float(bars[worst]),
-        cases=len(values),
+        float(np.median(values)), median_known(bars), float(values[worst]), float(bars[worst]), len(values)
     )
 
 
 @dataclass(frozen=True)
-class Cost:
-    """What a model takes: medians over cases and steps [s], the most memory [B], what stands beside the times.
+class Figures:
+    """A model in numbers, medians over the cases; NaN where not known.
 
-    `frame` is of the contact, `everywhere` with all nodes loaded, over meshes and rounds; without measured frames
-    `frame` is over steps. `marks` are ELSEWHERE, ONCE.
+    Attributes
+    ----------
+    lead, value, bar : the number that leads in words, the normal error of a model that moves along normals, else
+        the displacement error; its value, and the reference's own part in it
+    displacement, deformation : both errors
+    frame, everywhere : time of a frame of the contact and with all nodes loaded, over meshes and rounds; without
+        measured frames `frame` is over steps [s]
+    set_up, memory : [s], and the most over the cases [B]
+    marks : what stands beside the times, ELSEWHERE and ONCE
+    same : whether it has the reference's own numbers on its mesh, of which no error tells anything
+    within, cases : cases within all limits, of all
     """
 
     model: str
-    set_up: float
-    frame: float
-    everywhere: float
-    memory: float
-    marks: tuple[str, ...]
+    lead: str = ""
+    value: float = math.nan
+    bar: float = math.nan
+    displacement: float = math.nan
+    deformation: float = math.nan
+    frame: float = math.nan
+    everywhere: float = math.nan
+    set_up: float = math.nan
+    memory: float = math.nan
+    marks: tuple[str, ...] = ()
+    same: bool = False
+    within: int = 0
+    cases: int = 0
 
 
 @dataclass(frozen=True)
@@ -448,26 +462,35 @@ class Digest:
         """The place of a name in the palette, None of what is no model of the run."""
         return self.colour(name) if name in self.models else None
 
-    # --- costs ---
+    # --- numbers ---
 
     @cached_property
-    def costs(self) -> dict[str, Cost]:
+    def figures(self) -> dict[str, Figures]:
         """Of every model."""
-        return {name: self._cost(name) for name in self.models}
+        return {name: self._figures(name) for name in self.models}
 
-    def _cost(self, name: str) -> Cost:
+    def _figures(self, name: str) -> Figures:
         results = [case.models[name] for case in self.cases if name in case.models]
         frames = [result.frames for result in results if result.frames is not None]
         answered = [r for r in results if any(status.ok for status in r.status)]
-        return Cost(
+        lead = self.spread(name, self.leading(name)) or Spread(math.nan)
+        return Figures(
             model=name,
+            lead="normal error" if self.leading(name) == NORMAL else "displacement error",
+            value=lead.value,
+            bar=lead.bar,
+            displacement=self.median(name, VECTOR),
+            deformation=self.median(name, DEFORMATION),
+            frame=frame_of(results),
+            everywhere=median_known(*(f.everywhere for f in frames)),
             set_up=median_known(
                 *([f.setup for f in frames] or [np.array([r.seconds_setup]) for r in results])
             ),
-            frame=frame_of(results),
-            everywhere=median_known(*(f.everywhere for f in frames)),
             memory=float(max((r.peak_bytes for r in answered), default=math.nan)),
             marks=self._marks(name),
+            same=name == self.reference or self.same_as_reference(name),
+            within=int((self.standing(name) == WITHIN).sum()) if name in self.compared else 0,
+            cases=len(self.cases),
         )
 
     def _marks(self, name: str) -> tuple[str, ...]:

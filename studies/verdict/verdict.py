@@ -34,8 +34,8 @@ from .acceptance import (
     up_to,
     word_of,
 )
-from .advice import Advice, Figures, Reason, by_interaction, figures, reasons
-from .digest import Digest, Outside, Unreached, failed_steps, median_known
+from .advice import Advice, Reason, by_interaction, reasons
+from .digest import Digest, Figures, Outside, Unreached, failed_steps, median_known
 from .reading import reading
 
 _WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these that a model has
@@ -238,7 +238,7 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
         word=word_of(states.tolist()),
         models=digest.families[family],
         model=model,
-        figures=figures(digest, model),
+        figures=digest.figures[model],
         counts=counted(states),
         limits=tuple(_limit(digest, model, one) for one in digest.criteria),
         why_not=reasons(digest, model),

@@ -42,14 +42,14 @@ def test_times_say_when_where_and_how(case: CaseResult, marks: list[str], of_ref
         for time in ("seconds_setup", "seconds_per_step"):
             assert headline_metrics(shown)[name][time]["measured"] == expected
         assert ("another machine" in rows[name]) == (ELSEWHERE in expected)
-    told = note("times", list(Digest(shown).costs.values())).text
+    told = note("times", list(Digest(shown).figures.values())).text
     assert ("another machine, compare" in told) == (ELSEWHERE in [*marks, *of_reference])
 
 
 def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
     case = measured_anew(_case("Abacus 3", solver="iterative"))
     digest = Digest(make_run([case]))
-    cost = digest.costs["vdm-m"]
+    cost = digest.figures["vdm-m"]
     assert cost.marks == ()
     assert (cost.frame, cost.everywhere) == (4e-4, 8e-4)
     own = case.models["vdm-m"]
@@ -57,7 +57,7 @@ def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
 
     def marks(frames: FrameTimes | None) -> tuple[str, ...]:
         models = case.models | {"vdm-m": dataclasses.replace(own, frames=frames)}
-        return Digest(make_run([dataclasses.replace(case, models=models)])).costs["vdm-m"].marks
+        return Digest(make_run([dataclasses.replace(case, models=models)])).figures["vdm-m"].marks
 
     assert marks(dataclasses.replace(own.frames, processor="Abacus 3")) == (ELSEWHERE,)
     assert marks(None) == (ELSEWHERE, ONCE)

@@ -26,8 +26,8 @@ def digest() -> Digest:
 def test_spread_takes_medians_the_largest_size_and_its_own_bar() -> None:
     spread = spread_of(np.array([0.1, -0.5, 0.3, math.nan]), np.array([0.02, 0.01, math.nan, 0.1]))
     assert spread is not None
-    assert (spread.median, spread.worst, spread.worst_bar) == (0.1, -0.5, 0.01)
-    assert_allclose(spread.median_bar, 0.015, rtol=RTOL, atol=ATOL)
+    assert (spread.value, spread.worst, spread.worst_bar) == (0.1, -0.5, 0.01)
+    assert_allclose(spread.bar, 0.015, rtol=RTOL, atol=ATOL)
     assert spread.cases == 3
     assert spread_of(np.array([math.nan]), np.array([0.1])) is None
 
