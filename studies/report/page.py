@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -33,23 +33,24 @@ from .section_tables import (
     how_to_reproduce,
     small_strain_limits,
 )
-from .section_view import heading, still, surfaces
+from .section_view import heading, still, surface
 
 
 class PictureError(ValueError):
     """There is nothing to draw."""
 
 
-MOST_BYTES = 5_000_000
 _NAME = re.compile(r"\b[a-z]+(?:-[a-z0-9:]+)+|\b[a-z_]+(?:\.[a-z0-9_]+)+")  # of a model or a key
 _TEMPLATES = Path(__file__).parent / "templates"
 
 Make = Callable[[Digest], Section | None]
 
-# the order of the page; a section that has nothing to say returns None. The viewer comes after BEFORE. What other
-# files `section_NAME.py` have in their SECTIONS comes before the APPENDIX
-BEFORE: tuple[Make, ...] = (headline.headline, errors)
-AFTER: tuple[Make, ...] = (
+# the order of the page; a section that has nothing to say returns None. What other files `section_NAME.py` have in
+# their SECTIONS comes before the APPENDIX
+SECTIONS: tuple[Make, ...] = (
+    headline.headline,
+    errors,
+    surface,
     inputs,
     against_measurement,
     force_against_indentation,
@@ -59,13 +60,6 @@ AFTER: tuple[Make, ...] = (
     all_measures,
 )
 APPENDIX: tuple[Make, ...] = (case_table, failures, how_to_reproduce)
-
-
-@cache
-def _after() -> tuple[Make, ...]:
-    """What comes after the viewer."""
-    others = load_all("vdmbench.report", "section_")
-    return (*AFTER, *(make for module in others for make in getattr(module, "SECTIONS", ())), *APPENDIX)
 
 
 def write_picture(run: Run, path: Path) -> None:
@@ -97,49 +91,45 @@ def write_report(run: Run, path: Path) -> None:
     write_atomically(path, encoded(page_html(run)))
 
 
-def page_html(run: Run, *, stills: bool = True) -> str:
-    """The page as text, with still pictures of the surface or without."""
+def every_section(digest: Digest) -> list[Section]:
+    """All that has something to say."""
+    others = load_all("vdmbench.report", "section_")
+    added = [make for module in others for make in getattr(module, "SECTIONS", ())]
     # overflow is no surprise in what a model that broke down left behind; its numbers are shown as not finite
     with np.errstate(all="ignore"):
-        return _page_html(digest_of(run), stills=stills)
+        return [section for make in (*SECTIONS, *added, *APPENDIX) if (section := make(digest))]
 
 
-def every_section(digest: Digest) -> list[Section]:
-    """All that has something to say, but for the viewer."""
+def page_html(run: Run) -> str:
+    """The page as text."""
+    digest = digest_of(run)
+    sections, found = every_section(digest), verdicts(digest)
+    words, study = told(found), run.study.study
+    viewed = any(isinstance(b, Viewer) and b.payload for section in sections for b in section.blocks)
+    scripts = _scripts() if viewed else _scripts()[:1]
     with np.errstate(all="ignore"):
-        return _made(digest, (*BEFORE, *_after()))
-
-
-def _made(digest: Digest, makers: Sequence[Make]) -> list[Section]:
-    return [section for make in makers if (section := make(digest))]
-
-
-def _page_html(digest: Digest, *, stills: bool) -> str:
-    found, words = verdicts(digest), told(verdicts(digest))
-    before, after = _made(digest, BEFORE), _made(digest, _after())
-    study = digest.run.study.study
-    head = {
-        "title": study.title,
-        "name": study.name,
-        "counts": _counts(digest.run),
-        "told": words,
-        "further": [answer for answer in words.further if answer.question not in BESIDE],
-        "colours": {name: digest.colour(name) for name in digest.models},
-        "take": headline.what_to_take(found),
-        "limits": headline.against_limits(found, digest),
-        "scene": scene(digest),
-        "style": asset("page.css"),
-    }
-    text = ""
-    for view in surfaces(digest, stills=stills):
-        sections = [*before, *view, *after]
-        viewed = any(isinstance(b, Viewer) and b.payload for section in sections for b in section.blocks)
-        scripts = _scripts() if viewed else _scripts()[:1]
-        about = {"sections": sections, "scripts": scripts, "policy": _policy(scripts)}
-        text = _environment().get_template("page.html").render(head | about)
-        if len(encoded(text)) <= MOST_BYTES:
-            break
-    return text
+        head = {
+            "take": headline.what_to_take(found),
+            "limits": headline.against_limits(found, digest),
+            "scene": scene(digest),
+        }
+    return (
+        _environment()
+        .get_template("page.html")
+        .render(
+            title=study.title,
+            name=study.name,
+            counts=_counts(run),
+            told=words,
+            further=[answer for answer in words.further if answer.question not in BESIDE],
+            colours={name: digest.colour(name) for name in digest.models},
+            style=asset("page.css"),
+            sections=sections,
+            scripts=scripts,
+            policy=_policy(scripts),
+            **head,
+        )
+    )
 
 
 def _counts(run: Run) -> list[tuple[str, str]]:

@@ -7,7 +7,8 @@ component: the rounding, 1.5e-5 of the range, is far below a pixel. Surfaces tha
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Sequence
+import json
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib import colormaps
@@ -24,23 +25,33 @@ from .scene_picture import KINDS, Stage
 from .section_scene import parts_of
 
 _U16, _I16 = 65535, 32767
+MOST_BYTES = 4_000_000  # of the viewer's data: a page can be mailed
 
 
-def surfaces(digest: Digest, *, stills: bool) -> Iterator[list[Section]]:
-    """The viewer and a still picture of the first key case, from the fullest to the leanest; [] of no case."""
+def surface(digest: Digest) -> Section | None:
+    """The viewer and a still picture of the first key case; None of no case.
+
+    The viewer has what `MOST_BYTES` hold: every load step, the full load alone, or nothing.
+    """
     if not digest.cases or digest.focus is None:
-        yield []
-        return
-    first = digest.key_cases[0]
-    panels, words = still(digest, first[1]) if stills else ([], "")
-    shown = Still(digest.title(*first), _url(labelled(panels)), words) if panels else None
-    cases, models = [case for _, case in digest.key_cases], digest.models
-    roles = [role for role, _ in digest.key_cases]
+        return None
+    role, first = digest.key_cases[0]
+    panels, words = still(digest, first)
+    shown = Still(digest.title(role, first), _url(labelled(panels)), words) if panels else None
+    cases, roles = [case for _, case in digest.key_cases], [role for role, _ in digest.key_cases]
+    data: dict[str, object] | None = None
+    for history in (True, False):
+        data = payload(digest, cases, digest.models, history)
+        if len(json.dumps(data)) <= MOST_BYTES:
+            break
+    else:
+        data = None
     intro = note("surface", roles, len(digest.cases), digest.focus, bool(digest.compared))
-    for lean, history in enumerate((True, False, None)):
-        data = payload(digest, cases, models, history) if history is not None else None
-        viewer = Viewer(data, shown, note("viewer", lean))
-        yield [Section("surface", "Where on the surface", [intro, viewer])]
+    return Section(
+        "surface",
+        "Where on the surface",
+        [intro, Viewer(data, shown, note("viewer", data is not None, history))],
+    )
 
 
 def _url(png: bytes) -> str:

@@ -202,7 +202,7 @@ def test_a_point_names_its_case_and_a_chart_is_saved_with_its_legend(
 ) -> None:
     cases = run.cases[::2]  # of one pressure: each point is a case
     page = tmp_path / "report.html"
-    page.write_text(page_html(dataclasses.replace(run, cases=cases), stills=False))
+    page.write_text(page_html(dataclasses.replace(run, cases=cases)))
     browser.open(page, 1400)
     browser.evaluate("document.querySelector('#parameters').scrollIntoView({behavior: 'instant'})")
     mark = "document.querySelectorAll('#parameters .plot [data-told*=vdm-vector] use')[1]"

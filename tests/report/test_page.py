@@ -17,9 +17,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
-from vdmbench.report import page as page_module
-from vdmbench.report.blocks import Figures
-from vdmbench.report.page import MOST_BYTES, page_html, write_report
+from vdmbench.report import section_view
+from vdmbench.report.blocks import Figures, Viewer
+from vdmbench.report.page import page_html, write_report
 from vdmbench.report.section_charts import errors
 from vdmbench.report.section_view import payload
 from vdmbench.verdict.digest import Digest
@@ -47,7 +47,7 @@ def html() -> str:
             "remedy": "raise it",
         }
     ]
-    return page_html(dataclasses.replace(sweep_run(), failed=failed, missing=["nu = 0.2"]), stills=False)
+    return page_html(dataclasses.replace(sweep_run(), failed=failed, missing=["nu = 0.2"]))
 
 
 GOLDEN = Path(__file__).parent / "golden.txt"
@@ -92,7 +92,7 @@ def test_without_a_reference_no_error_is_claimed() -> None:
         make_case({"m": 0.1 * k}, label=str(k), swept={"k": float(k)}, reference=None, subdivisions=0)
         for k in (1, 2)
     ]
-    html = page_html(make_run(cases), stills=False)
+    html = page_html(make_run(cases))
     names = re.findall(r'<section id="(\w+)"', html)
     assert names == ["headline", "surface", "drift", "cases", "reproduce"]
     assert "error" not in words(section(html, "headline")).lower()
@@ -100,7 +100,7 @@ def test_without_a_reference_no_error_is_claimed() -> None:
 
 def test_nothing_finished() -> None:
     failed = [{"hash": "ab" * 32, "label": "", "code": "crash", "message": "killed", "remedy": ""}]
-    html = page_html(dataclasses.replace(make_run([]), failed=failed, missing=["k = 1"]), stills=False)
+    html = page_html(dataclasses.replace(make_run([]), failed=failed, missing=["k = 1"]))
     assert "No case has a result yet, so there is nothing to compare." in html
     assert "abababab crash killed" in words(section(html, "failures"))
     assert "viewer-data" not in html.split("</style>")[1]
@@ -110,7 +110,7 @@ def test_models_and_metrics_may_be_missing_in_a_case() -> None:
     whole = make_case({"a": 0.1, "b": 0.2}, label="k = 0", swept={"k": 0.0}, subdivisions=0)
     partly = make_case({"a": 0.3}, label="k = 1", swept={"k": 1.0}, subdivisions=0)
     bare = dataclasses.replace(partly, label="k = 2", hash="c" * 64, swept={"k": 2.0}, metrics={})
-    html = page_html(make_run([whole, partly, bare]), stills=False)
+    html = page_html(make_run([whole, partly, bare]))
     assert "20.0 %" in words(section(html, "headline")).replace("\u00a0", " ")
 
 
@@ -159,8 +159,8 @@ def test_a_parameter_that_no_error_depends_on_has_no_chart(apart: float, drawn: 
 
 
 def test_thousands_of_cases_are_cut_and_say_so() -> None:
-    html = page_html(cheap_run(1200), stills=False)
-    assert len(html.encode()) < MOST_BYTES
+    html = page_html(cheap_run(1200))
+    assert len(html.encode()) < 5_000_000
     assert "of 1200 are listed" in words(section(html, "cases"))
 
 
@@ -213,13 +213,20 @@ def test_a_failed_step_is_a_message_to_the_viewer() -> None:
     assert steps[1:] == [{"message": "the volume could not be held"}] * 3
 
 
-def test_a_surface_too_large_for_the_page_is_left_to_other_tools(monkeypatch: pytest.MonkeyPatch) -> None:
-    run = make_run([make_case({"m": 0.1}, subdivisions=3)])
-    whole = len(page_html(run, stills=False).encode())
-    monkeypatch.setattr(page_module, "MOST_BYTES", 140_000)
-    html = page_html(run, stills=False)
-    assert len(html.encode()) < 140_000 < whole
-    assert "too many nodes for a viewer" in html
+@pytest.mark.parametrize(
+    ("share", "told"), [(0.9, "the step of full load only"), (0.01, "too many nodes for a viewer")]
+)
+def test_a_surface_too_large_for_the_page_has_less_of_a_viewer(
+    monkeypatch: pytest.MonkeyPatch, share: float, told: str
+) -> None:
+    digest = Digest(make_run([make_case({"m": 0.1}, subdivisions=3)]))
+    most = share * len(json.dumps(payload(digest, digest.cases, digest.models, True)))
+    monkeypatch.setattr(section_view, "MOST_BYTES", most)
+    found = section_view.surface(digest)
+    assert found is not None
+    (viewer,) = (block for block in found.blocks if isinstance(block, Viewer))
+    assert len(json.dumps(viewer.payload)) <= most
+    assert told in viewer.note.text
 
 
 # --- axes ---

@@ -33,7 +33,7 @@ def printed(run: Run, capsys: pytest.CaptureFixture[str], *, as_json: bool) -> s
 def test_page_terminal_json_and_notebook_say_the_same(capsys: pytest.CaptureFixture[str]) -> None:
     run = sweep_run()
     found = verdicts(Digest(run))
-    page = flat(html.unescape(re.sub(r"<[^>]*>", " ", page_html(run, stills=False))))
+    page = flat(html.unescape(re.sub(r"<[^>]*>", " ", page_html(run))))
     terminal = flat(printed(run, capsys, as_json=False))
     data = json.loads(printed(run, capsys, as_json=True))
     results = Results(Path("runs/ball"), run, Path("runs/ball/report.html"))
