@@ -336,38 +336,29 @@ class Input:
 
     Attributes
     ----------
-    value : that of the study
-    sd : standard deviation; None of a range
-    span : the ends of a range in which every value is as likely; None of a standard deviation
+    ends : the values whose answers are subtracted: those of a range, or one standard deviation either way
+    weight : what half the difference of these answers is multiplied by, to be a standard deviation
+    written : its table, as a file could hold it
     """
 
     key: str
     loc: Loc
     unit: str
     value: float
-    sd: float | None
-    span: tuple[float, float] | None
+    ends: tuple[float, float]
+    weight: float
+    written: dict[str, Any]
 
     @property
     def deviation(self) -> float:
         """Standard deviation."""
-        return float(self.sd or 0.0) if self.span is None else (self.span[1] - self.span[0]) / math.sqrt(12.0)
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """The values whose answers are subtracted: those of a range, or one standard deviation either way."""
-        return self.span or (self.value - self.deviation, self.value + self.deviation)
+        return self.weight * (self.ends[1] - self.ends[0]) / 2.0
 
     @property
     def place(self) -> float:
         """Where the study's value is between the ends, from 0 to 1."""
         low, high = self.ends
         return (self.value - low) / (high - low)
-
-    @property
-    def weight(self) -> float:
-        """What half the difference of these answers is multiplied by, to be a standard deviation."""
-        return 1.0 if self.span is None else 1.0 / math.sqrt(3.0)
 
 
 def inputs_of(study: Study) -> list[Input]:
@@ -394,10 +385,7 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
 
 def as_written(data: Mapping[str, Any]) -> dict[str, Any]:
     """The table [inputs] as a file could hold it, in SI."""
-    return {
-        one.key: {"sd": one.sd} if one.span is None else {"range": list(one.span)}
-        for one in read_inputs(data)[0]
-    }
+    return {one.key: one.written for one in read_inputs(data)[0]}
 
 
 def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Target]) -> Input:
@@ -415,10 +403,10 @@ def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Ta
     if not isinstance(value, float):
         raise EntryError("has no value in this study; give it one, or leave it out here")
     if given.sd is not None:
-        deviation = float(_value(target, given.sd, "sd"))
-        if deviation <= 0:
-            raise EntryError(f"must be positive, not {deviation:g}", "sd")
-        return Input(key, target.loc, target.unit, value, deviation, None)
+        sd = float(_value(target, given.sd, "sd"))
+        if sd <= 0:
+            raise EntryError(f"must be positive, not {sd:g}", "sd")
+        return Input(key, target.loc, target.unit, value, (value - sd, value + sd), 1.0, {"sd": sd})
     if not isinstance(given.range, list | tuple) or len(given.range) != 2:
         raise EntryError("must be a list of two values, the least and the most", "range")
     low, high = (float(_value(target, end, "range")) for end in given.range)
@@ -427,7 +415,8 @@ def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Ta
     if not low <= value <= high:
         unit = "" if target.unit == "1" else f" {target.unit}"
         raise EntryError(f"does not hold the study's own value, {value:g}{unit}", "range")
-    return Input(key, target.loc, target.unit, value, None, (low, high))
+    even = 1.0 / math.sqrt(3.0)  # every value between is as likely
+    return Input(key, target.loc, target.unit, value, (low, high), even, {"range": [low, high]})
 
 
 # --- The studies with other values of the inputs that tell what comes of not knowing them ---
