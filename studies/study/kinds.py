@@ -292,7 +292,6 @@ class OneOf(Table):
 
     by: ClassVar[str]
     kinds: ClassVar[dict[str, Any]]  # of the common class: what a file writes -> class
-    version: ClassVar[str] = "1"  # raised whenever its numbers change; part of their keys
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:

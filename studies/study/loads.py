@@ -33,26 +33,23 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
+VERSION = (
+    "3"  # raised whenever a constraint, a profile or a scanned shape changes its numbers; part of all keys
+)
 PROFILES: dict[str, Callable[[Array], Array]] = {}
-VERSIONS = {"uniform": "1"}
 
 
-def profile(function: Callable[[Array], Array], version: str = "1") -> Callable[[Array], Array]:
+def profile(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
     """Register pressure over its peak at rho, 0 in the middle and 1 at the rim, beyond which it is nothing.
-
-    Parameters
-    ----------
-    version : raised whenever its values change; part of the keys of results
 
     Raises
     ------
     ValueError
         a name that is taken.
     """
-    name = function.__name__
-    if name in VERSIONS:
-        raise ValueError(f"a profile {name!r} is registered already")
-    PROFILES[name], VERSIONS[name] = function, version
+    if function.__name__ in ("uniform", *PROFILES):
+        raise ValueError(f"a profile {function.__name__!r} is registered already")
+    PROFILES[function.__name__] = function
     return function
 
 
@@ -143,7 +140,6 @@ class Constraint(OneOf):
     holds : whether the displacement of its nodes is known; nothing may press on those
     supports : whether it resists what moves the body and leaves the displacement open: it belongs to a set-up
     loads : its keys that say how much acts, and are raised by load factors; of several one is given
-    words : key -> the versions of its words, where they stand for functions; part of the keys of answers
     """
 
     by = "kind"
@@ -151,7 +147,6 @@ class Constraint(OneOf):
     holds: ClassVar[bool] = False
     supports: ClassVar[bool] = False
     loads: ClassVar[tuple[str, ...]] = ()
-    words: ClassVar[Mapping[str, Mapping[str, str]]] = {}
 
     kind: str = Key("what happens to the region")
     region: str = Key("name of the region")
@@ -172,15 +167,6 @@ class Constraint(OneOf):
     def faults(self, region: frozenset[str]) -> Iterator[tuple[Loc, str]]:  # noqa: ARG002
         """(place inside, what is wrong there); `region` has the keys of its region."""
         yield from ()
-
-    @classmethod
-    def versions(cls, entry: Mapping[str, Any]) -> dict[str, str]:
-        """Its own version, and those of the words that a constraint has."""
-        found = {key: versions.get(str(entry.get(key))) for key, versions in cls.words.items()}
-        return {
-            "kind": cls.version,
-            **{key: version for key, version in found.items() if version is not None},
-        }
 
     @classmethod
     def unit_loads(cls, entry: Mapping[str, Any], described: str) -> Iterator[tuple[str, float]]:
@@ -215,7 +201,6 @@ class Contact(Constraint):
 
     kind: Literal["contact"]
     loads = ("pressure", "force")
-    words: ClassVar[Mapping[str, Mapping[str, str]]] = {"profile": VERSIONS}
     pressure: Pressure | None = Key("(peak) pressure, positive into the body", None)
     force: Annotated[float, SI("N")] | None = Key("resultant, instead of the pressure", None)
     profile: Profile = Key("shape of the pressure; all but uniform need a cap or ball", "uniform")
@@ -282,7 +267,6 @@ class Elastic(Constraint):
     """on springs"""
 
     kind: Literal["elastic"]
-    version = "2"
     supports = True
     stiffness: Annotated[float, SI("Pa/m"), positive] = Key('spring constant per area, such as "1 kPa/mm"')
     direction: Literal["normal", "full"] = Key(

@@ -73,9 +73,6 @@ EXTRAS = {  # what a study has that not every model takes -> what is said of one
     "scanned shape": "finds no rest shape for gravity.scanned; take fem or bem:nonlinear",
 }
 SCANNED = "scanned shape"
-EXTRA_VERSIONS = {
-    SCANNED: "2"
-}  # raised whenever how models do an extra changes their numbers; part of the keys
 ENTRY_POINT = "vdmbench.models"
 
 

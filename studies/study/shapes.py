@@ -338,8 +338,6 @@ def geometry_key(geometry: Geometry, *, volume: bool) -> str:
         if "size" not in inputs:
             inputs.setdefault("scale", [(1.0).hex()])
         packages = ("gmsh", "meshio") if geometry.has_own_tetrahedra else ("gmsh", "pyacvd", "vtk")
-    else:
-        inputs["version"] = geometry.version
     if not geometry.has_own_tetrahedra:
         inputs["mesh_size"] = float(geometry.mesh_size or 0.0).hex()
     described = {

@@ -20,8 +20,8 @@ from typing import Any
 from .. import models
 from ..study.config import case_inputs
 from ..study.kinds import Enters
-from ..study.loads import KINDS
-from ..study.registry import EXTRA_VERSIONS, lacks
+from ..study.loads import KINDS, VERSION
+from ..study.registry import lacks
 from ..study.schema import Study, extras_for, extras_of
 
 _FORMAT = 3  # of the files of answers: raised with what is in them
@@ -75,13 +75,12 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
             "inputs": own | _beside(study.without(dict(inputs), Enters.MESH)),
             "mesh": mesh_key,
             "models": {name: models.find(name)[0].version for name in study.study.models},
-            "kinds": [part.versions(part.model_dump()) for part in study.constraints],
+            "loads": VERSION,
             "reference": study.study.reference,
         }
         | _where_there_are(
             condition=study.study.condition,
             homogeneous=sorted(study.study.homogeneous),  # which answer without the inclusions
-            extras=_extra_versions(study),
         )
     )
 
@@ -174,7 +173,7 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
     return {
         "model": model.name,
         "solver": solver,
-        "version": model.version,
+        "version": [model.version, VERSION],
         "tissue": {key: inputs["tissue"][key] for key in read if key in inputs["tissue"]},
         "held": [
             _held(part, inputs)
@@ -191,12 +190,7 @@ def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
         inclusions=None if name in study.study.homogeneous else inputs.get("inclusions"),
         lacks=lacks(name, extras_for(name, study)),  # a stored refusal ends when the model learns
         condition=study.study.condition,
-        extras=_extra_versions(study),
     )
-
-
-def _extra_versions(study: Study) -> dict[str, str]:
-    return {extra: version for extra, version in EXTRA_VERSIONS.items() if extra in extras_of(study)}
 
 
 def _supports(inputs: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -205,8 +199,8 @@ def _supports(inputs: Mapping[str, Any]) -> list[dict[str, Any]]:
     for part in inputs["constraints"]:
         kind = KINDS.get(part["kind"])
         if kind is not None and kind.supports:
-            named = _held(part, inputs) | {"versions": kind.versions(part)}
-            found.append({key: value for key, value in part.items() if key != "name"} | named)
+            named = {key: value for key, value in part.items() if key != "name"}
+            found.append(named | _held(part, inputs))
     return found
 
 
@@ -241,7 +235,7 @@ def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
         apart = {"kind", "name", "region", *kind.loads}
         about = {key: value for key, value in constraint.items() if key not in apart}
         region = inputs["regions"][constraint["region"]]
-        described = json.dumps([about, kind.versions(constraint), region], sort_keys=True)
+        described = json.dumps([about, region], sort_keys=True)
         for unit, value in kind.unit_loads(constraint, described):
             out[unit] = out.get(unit, 0.0) + value
     return out

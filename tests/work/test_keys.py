@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import pytest
 
 from vdmbench.study.kinds import Enters, Table
-from vdmbench.study.loads import KINDS, VERSIONS
-from vdmbench.study.registry import EXTRA_VERSIONS, SCANNED, all_models, find
+from vdmbench.study.registry import all_models, find
 from vdmbench.study.schema import Study
 from vdmbench.study.shapes import Geometry, geometry_key
 from vdmbench.study.sweep import substituted
@@ -134,30 +133,14 @@ def test_a_contact_is_told_by_every_key_that_it_has() -> None:
     assert units(friction=0.1) != units(friction=0.2)
 
 
-def test_a_profile_or_a_kind_that_has_changed_is_another_answer_and_another_case(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_loads_that_have_changed_are_other_answers_and_another_case(monkeypatch: pytest.MonkeyPatch) -> None:
     one = study()
-    used = {part.profile for part in one.constraints if part.kind == "contact"}
     before = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
     assert before == (answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh"))
-    monkeypatch.setitem(VERSIONS, str(used.pop()), "2")
-    profile = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
-    monkeypatch.setattr(KINDS["contact"], "version", "2")
-    kind = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
-    assert len({before[0], profile[0], kind[0]}) == len({before[1], profile[1], kind[1]}) == 3
-
-
-def test_how_a_rest_shape_is_found_is_in_the_keys_of_scanned_bodies_alone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    both = study(), study(("gravity", "scanned"), True)
-    before = [(case_hash(one, "mesh"), answers(one)) for one in both]
-    monkeypatch.setitem(EXTRA_VERSIONS, SCANNED, "of another program")
-    (plain, scanned), now = before, [(case_hash(one, "mesh"), answers(one)) for one in both]
-    assert now[0] == plain
-    assert now[1][0] != scanned[0]
-    assert all(now[1][1][name] != scanned[1][name] for name in scanned[1])
+    monkeypatch.setattr(keys, "VERSION", "of another program")
+    now = answers(one)["vdm-paper", 0].answers, case_hash(one, "mesh")
+    assert set(before[0]).isdisjoint(now[0])
+    assert before[1] != now[1]
 
 
 def test_what_is_set_up_for_a_contact_is_set_up_for_its_place() -> None:
