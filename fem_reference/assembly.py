@@ -3,7 +3,7 @@
 Method: on an affine tetrahedron the gradient of a shape function is the constant barycentric gradients times a
 table of reference values. One matrix product with a constant table therefore gives every element block, and all
 blocks share one scalar sparsity pattern. Order: exact, the integrands are of degree 2. Source: scikit-fem's element
-tables; a test holds the matrices to scikit-fem's forms at 1e-14.
+tables; tests hold solutions to those of scikit-fem's forms at 1e-10.
 """
 
 from __future__ import annotations

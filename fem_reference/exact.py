@@ -179,13 +179,6 @@ class IncompressibleBall:
             + (polar * self._legendre.deriv()(cosine))[:, None] * south
         )
 
-    def pressure(self, points: Array) -> Array:
-        """(k,) pressure -tr(stress)/3 at (k, 3) points other than the centre."""
-        n = self.degree
-        r = np.linalg.norm(points, axis=1)
-        alpha = 2.0 * self.shear_modulus * (2 * n + 3) * self._a
-        return np.asarray(alpha * r**n * self._legendre(points[:, 2] / r))
-
     @property
     def _legendre(self) -> Legendre:
         return Legendre.basis(self.degree)

@@ -17,7 +17,7 @@ from vdmbench.body.intersections import intersecting_facets, without_intersectio
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import inherit, refine, refined
 from vdmbench.body.remesh import unit_sphere
-from vdmbench.body.repair import clean_surface, clean_tetrahedra
+from vdmbench.body.repair import clean_surface
 from vdmbench.body.surface_measures import enclosed_volume, facet_area_vectors
 from vdmbench.body.topology import (
     canonical_triangles,
@@ -54,21 +54,6 @@ def test_volumes_and_quality_of_known_tetrahedra() -> None:
     # the corner: |S|^2 = tr G^-1 = 4.5 and |S^-1|^2 = tr G = 3, G the Gram matrix of a regular one's edges
     expected = [np.sign(signed[0]), np.sign(signed[1]), 3 / np.sqrt(4.5 * 3), 0]
     assert_allclose(tetrahedron_sicn(points, tetrahedra), expected, rtol=1e-12, atol=1e-12)
-
-
-def test_cube_of_five_tetrahedra() -> None:
-    points, tetrahedra = cube()
-    groups = {"floor": points[:, 2] == 0, "nothing": np.zeros(8, dtype=bool)}
-    mesh = mesh_from_tetrahedra(points, tetrahedra, groups=groups, quality={"scale": 1.0})
-    assert mesh.triangles.shape == (12, 3)
-    assert_allclose([mesh.quality["volume"], mesh.quality["area"]], [1, 6], rtol=1e-14, atol=0)
-    assert mesh.quality["worst_sicn"] == tetrahedron_sicn(points, tetrahedra).min() > 0
-    assert list(mesh.groups) == ["floor"]
-    assert_array_equal(mesh.groups["floor"], points[:, 2] == 0)
-    surface = surface_only(mesh)
-    assert surface.tetrahedra.shape == (0, 4)
-    assert_array_equal(surface.triangles, mesh.triangles)
-    assert_array_equal(surface.groups["floor"], mesh.groups["floor"])
 
 
 def test_content_hash_sees_points_connectivity_and_groups_but_not_quality() -> None:
@@ -232,17 +217,6 @@ def test_a_double_fin_is_removed() -> None:
 def test_soup_beyond_repair(points: Array, triangles: Index, words: str) -> None:
     with pytest.raises(MeshError, match=words):
         clean_surface(points, triangles)
-
-
-def test_tetrahedra_are_cleaned() -> None:
-    points, tetrahedra = cube()
-    points = np.concatenate([[[9.0, 9, 9]], points])
-    mirrored = tetrahedra[:, [1, 0, 2, 3]] + 1
-    clean = clean_tetrahedra(points, np.concatenate([mirrored, mirrored[:2]]), {"low": points[:, 2] == 0})
-    assert clean.repairs == {"points_dropped": 1, "tetrahedra_turned": 5}
-    assert_array_equal(clean.points, cube()[0])
-    assert_allclose(tetrahedron_volumes(clean.points, clean.cells).sum(), 1, rtol=1e-14, atol=0)
-    assert_array_equal(clean.groups["low"], cube()[0][:, 2] == 0)
 
 
 # --- self-intersections -------------------------------------------------------------------------------
@@ -424,14 +398,6 @@ def test_a_surface_without_an_inside_is_split_as_that_of_a_body() -> None:
     )
     again, _ = refine(bare)
     assert len(again.triangles) == 16 * len(body.triangles)
-
-
-def test_the_boundary_of_the_tetrahedra_is_the_surface() -> None:
-    fine, _ = refine(wedge())
-    facets = np.sort(fine.tetrahedra[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]].reshape(-1, 3), axis=1)
-    unique, counts = np.unique(facets, axis=0, return_counts=True)
-    boundary = {tuple(row) for row in unique[counts == 1].tolist()}
-    assert boundary == {tuple(row) for row in np.sort(fine.surface_nodes[fine.triangles], axis=1).tolist()}
 
 
 def test_a_region_keeps_its_facets() -> None:

@@ -1,23 +1,28 @@
-"""The documents are true: their commands run, their tables are what is printed, their links lead somewhere."""
+"""The documents are true: commands run, tables are what is printed, links lead somewhere; so does a release."""
 
 from __future__ import annotations
 
 import json
+import pkgutil
 import re
 import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 import pyvista
+import yaml
 
 from tests.command import vdmbench
 from tools import documents, site
 from vdmbench.body.geometry import build_mesh
+from vdmbench.cli.arguments import parse, verbs
 from vdmbench.study.config import expand, load_study
+from vdmbench.study.errors import LIBRARIES
 
 pytestmark = pytest.mark.usefixtures("read_here")
 
@@ -164,3 +169,73 @@ def test_every_model_is_in_the_table() -> None:
     assert set(re.findall(r"^\| `((?:vdm|bem|fem|mass)[a-z0-9-]*)` \|", text, flags=re.MULTILINE)) == {
         name for name, model in all_models().items() if model.family is not Family.ENGINES
     }
+
+
+def test_every_verb_is_in_the_manual() -> None:
+    text = (documents.ROOT / "docs/reference/commands.md").read_text()
+    told = set(re.findall(r"`([a-z]+)(?: [^`]*)?`", text.split("## Exit codes")[0]))
+    assert verbs().keys() - told == set()
+
+
+def test_the_citation_has_the_version_and_the_licence_of_the_package() -> None:
+    project = tomllib.loads((documents.ROOT / "pyproject.toml").read_text())["project"]
+    citation = yaml.safe_load((documents.ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == project["version"]
+    assert citation["license"] == project["license"]
+    assert {"cff-version", "message", "title", "authors"} <= citation.keys()
+    assert (documents.ROOT / "CHANGELOG.md").read_text().count(f"## {project['version']}") == 1
+
+
+@pytest.mark.parametrize("name", ["Containerfile", "docs/howto/gate-workflow.yml"])
+def test_the_libraries_are_those_that_an_error_names(name: str) -> None:
+    text = (documents.ROOT / name).read_text()
+    assert set(re.findall(r"\blib[a-z0-9-]+\b", text)) - {"libraries"} == set(LIBRARIES)
+
+
+def test_the_commands_of_the_workflow_are_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    workflow = yaml.safe_load((documents.ROOT / "docs/howto/gate-workflow.yml").read_text())
+    steps = [step.get("run", "") for step in workflow["jobs"]["gate"]["steps"]]
+    commands = [step for step in steps if step.startswith("vdmbench ")]
+    assert [shlex.split(command)[1] for command in commands] == ["check", "run", "gate"]
+    monkeypatch.chdir(tmp_path)
+    Path("results/runs/mine/cases").mkdir(parents=True)
+    for command in commands:
+        parse(shlex.split(command)[1:])
+
+
+def test_a_container_has_only_what_is_there() -> None:
+    text = (documents.ROOT / "Containerfile").read_text()
+    assert (documents.ROOT / "constraints.txt").exists()
+    assert "/src/constraints.txt" in text
+    assert 'ENTRYPOINT ["vdmbench"]' in text
+    shipped = tomllib.loads((documents.ROOT / "pyproject.toml").read_text())["tool"]["setuptools"][
+        "data-files"
+    ]
+    left_out = (documents.ROOT / ".containerignore").read_text().split()
+    for path in ("constraints.txt", *(name for names in shipped.values() for name in names)):
+        assert not [name for name in left_out if f"{path}/".startswith(f"{name}/")], f"the image needs {path}"
+
+
+# --- the two libraries ---
+
+
+@pytest.mark.parametrize(("package", "count"), [("vdm", 1), ("fem_reference", 2)])
+def test_examples_of_the_libraries_run(package: str, count: int) -> None:
+    """One after the other: the second goes on from the first."""
+    examples = blocks("python", documents.ROOT / package / "README.md")
+    assert len(examples) == count
+    exec(compile("".join(examples), "README.md", "exec"), {})
+
+
+def test_every_equation_of_the_paper_has_code_with_a_docstring_and_a_test() -> None:
+    text = (documents.ROOT / "vdm" / "README.md").read_text()
+    tests = "\n".join(path.read_text() for path in (documents.ROOT / "tests").glob("*/test_vdm_*.py"))
+    numbers: set[int] = set()
+    for told, path, test in re.findall(
+        r"^\| ([^|]+) \| `(vdm\.[\w.]+)` \| `(test_\w+)` \|$", text, re.MULTILINE
+    ):
+        assert pkgutil.resolve_name(path).__doc__, path
+        assert f"def {test}(" in tests
+        for first, last in re.findall(r"(\d+)(?:-(\d+))?", told):
+            numbers |= set(range(int(first), int(last or first) + 1))
+    assert numbers == set(range(1, 39))

@@ -1,4 +1,4 @@
-"""Engines of others through the door for plug-ins: held to ours where they solve the same problem."""
+"""Engines of others, through the door for plug-ins and by an export: held to ours on the same problem."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import json
 import os
+import runpy
 import subprocess
 import sys
 import tomllib
@@ -18,12 +19,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.command import SMALL_STUDY
+from tests.command import SMALL_STUDY, do
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
+from vdmbench.body.mesh_cache import mesh_from_cache
+from vdmbench.cli.arguments import parse
+from vdmbench.measures.foreign import read_foreign
 from vdmbench.measures.metrics import VECTOR
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.study.config import expand, load_study
 from vdmbench.study.registry import MODELS, is_linear
 from vdmbench.study.schema import Study
 
@@ -166,3 +171,32 @@ def test_installed_they_are_models_of_every_command(tmp_path: Path) -> None:
     assert 0.1 < error["fem-p1"] == pytest.approx(error["mujoco-flex"], rel=0.2), "they lock alike"
     assert 0.0 < error["ngsolve-p2p1:nonlinear"] < 0.1
     assert "engines" in found["verdicts"]
+
+
+ENGINE = Path(__file__).parents[2] / "docs" / "examples" / "twenty_lines.py"
+TOOL = """
+[[constraints]]
+kind = "constrained"
+region = "side"
+displacement = ["0 mm", "1 mm", "0 mm"]
+[regions.side]
+above = { axis = "x", fraction = 0.9 }
+[gravity]
+acceleration = [0, 0, -9.81]
+"""
+
+
+def test_it_has_twenty_lines_and_says_what_ours_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    *_, solving = ENGINE.read_text().split("\n\n", 3)
+    assert len(solving.splitlines()) <= 22, "twenty, and two that write"
+    monkeypatch.chdir(tmp_path)
+    Path("small.toml").write_text(SMALL_STUDY + TOOL)
+    assert do(parse(["export", "small.toml", "--to", "out", "--cache", "cache", "--json"])) == 0
+    runpy.run_path(str(ENGINE))
+    (case,) = expand(load_study(Path("small.toml")))
+    mesh = mesh_from_cache(case.study.geometry, Path("cache"))
+    theirs = read_foreign(Path("theirs.csv"), mesh)
+    ours = models.run_model(build_scene(case.study, mesh), "fem-p1").displacement[-1]
+    assert theirs.exact == 1.0
+    # both are direct solves of the same system
+    assert_allclose(theirs.displacement, ours, rtol=0, atol=1e-9 * np.abs(ours).max())

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from fem_reference.condensed import CondensedProblem
 from fem_reference.forces import line_forces, region_forces, traction_forces
-from fem_reference.loads import independent_loads, nodal_forces
+from fem_reference.loads import independent_loads
 from fem_reference.mesh import TetMesh
 from fem_reference.solution import SolverError
-from solver_common.quadrature import facet_quadrature
 from tests.fem.shapes import Body, ball, cube, mapped_box
 from tests.verification.records import Verified
 
@@ -64,29 +63,6 @@ def test_resultant_and_moment_on_every_level(refinements: int, order: int, verif
     twist = np.array([second[1, 2] - second[2, 1], second[2, 0] - second[0, 2], second[0, 1] - second[1, 0]])
     found = _wrench(mesh, traction_forces(mesh, traction))
     verified.at_most(f"{title}: linear traction", np.subtract(found, (total, twist)), 1e-12)
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_forces_add_up_to_the_load(order: int) -> None:
-    b = ball(1, radius=0.05)
-    mesh = TetMesh(*b.arrays, order=order)
-    rng = np.random.default_rng(3)
-    pressure = rng.uniform(-100.0, 300.0, (len(b.triangles), 6))
-    load = b.load(pressure, gravity=(1.0, -2.0, -9.81))
-    force = nodal_forces(mesh, [load, b.load()], density=1060.0)
-    area = b.area_vectors
-    applied = -area.T @ (pressure @ facet_quadrature()[1])
-    weight = 1060.0 * np.linalg.det(np.diff(b.points[b.tetrahedra], axis=1)).sum() / 6.0
-    resultant = applied + weight * np.array([1.0, -2.0, -9.81])
-    size = np.abs(force[0]).sum()
-    assert_allclose(force[0].sum(axis=0), resultant, rtol=0, atol=1e-14 * size)
-    # A linear pressure on flat facets: the moment is exact too, the rule integrates p times a P2 function.
-    moment = -np.einsum("q,fq,fqi->fi", facet_quadrature()[1], pressure, b.quadrature_points)
-    moment = np.cross(moment, area).sum(axis=0)
-    surface_only = nodal_forces(mesh, [b.load(pressure)], density=1060.0)[0]
-    arms = np.cross(mesh.node_points, surface_only).sum(axis=0)
-    assert_allclose(arms, moment, rtol=0, atol=1e-14 * np.abs(surface_only).sum() * 0.05)
-    assert_array_equal(force[1], 0.0)
 
 
 def _with(b: Body, forces: Array | None, **others: object):

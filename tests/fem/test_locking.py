@@ -60,11 +60,6 @@ def test_only_the_mixed_element_survives_incompressibility(verified: Verified) -
     assert (table["P2"] < mixed).all()
 
 
-def test_without_volume_coupling_the_mixed_element_is_p2() -> None:
-    b = ball(2, radius=0.05)
-    assert_allclose(_compliance(b, "P2-P1", 0.0), _compliance(b, "P2", 0.0), rtol=1e-11, atol=0)
-
-
 def _cooks_membrane(
     n: int, graded: Callable[[np.ndarray], np.ndarray], traction: float, **tissue: object
 ) -> tuple[np.ndarray, np.ndarray]:

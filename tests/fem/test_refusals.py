@@ -10,11 +10,15 @@ import pytest
 
 from fem_reference.condensed import CondensedProblem
 from fem_reference.contact import ContactProblem
+from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.forces import line_forces, region_forces, traction_forces
 from fem_reference.indenter import Capsule, FlatPunch, Indenter, Sphere
+from fem_reference.linear import LinearProblem
 from fem_reference.loads import held_nodes
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
+from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
+from fem_reference.plain_linear import PlainLinearProblem
 from fem_reference.solution import SolverError
 from fem_reference.springs import ElasticSupport
 from tests.fem.shapes import body, cube
@@ -122,6 +126,29 @@ def settings() -> Iterator[Refused]:
         yield words, lambda change=change: CUBE.finite(CUBE.bottom, **change)
 
 
+def problems() -> Iterator[Refused]:
+    """What every kind of problem refuses alike."""
+    all_over = np.ones(len(CUBE.surface), dtype=bool)
+    good, turned = CUBE.load(1.0), CUBE.tetrahedra[:, [1, 0, 2, 3]]
+    given = {"youngs_modulus": 1.0, "poisson_ratio": 0.3, "held": CUBE.bottom}
+    for kind in (LinearProblem, FiniteStrainProblem, PlainLinearProblem, PlainFiniteStrainProblem):
+        for words, change in (
+            ("move freely", {"held": ~all_over}),
+            ("held is an array of float64, not of true", {"held": np.full(len(all_over), np.nan)}),
+            ("held over its whole surface", {"held": all_over, "poisson_ratio": 0.5}),
+            ("poisson_ratio is 0.6", {"poisson_ratio": 0.6}),
+            ("density is -1.0", {"density": -1.0}),
+            ("inverted", {"tetrahedra": turned}),
+        ):
+            mesh = dict(zip(("points", "tetrahedra", "surface_nodes", "triangles"), CUBE.arrays, strict=True))
+            yield words, lambda kind=kind, options=mesh | given | change: kind(**options)
+        solve = kind(*CUBE.arrays, **given).solve
+        told = "facet_pressure of load step 1 has values that are not finite"
+        yield told, lambda solve=solve: solve([good, CUBE.load(np.nan)])
+        yield "there is no load step", lambda solve=solve: solve([])
+        yield "output 'colour' is unknown", lambda solve=solve: solve([good], frozenset({"colour"}))
+
+
 def materials() -> Iterator[Refused]:
     isotropic, fibres = (None, 1.0), ((1.0, -2.0, 0.5), 2.0)
     yeoh = {"second_ratio": 0.7, "third_ratio": 0.4}
@@ -219,7 +246,7 @@ def contacts() -> Iterator[Refused]:
         yield words, lambda c=contact, o=options: CondensedProblem(problem, c, **o)
 
 
-@pytest.mark.parametrize("refused", [meshes, supports, settings, materials, loads, contacts])
+@pytest.mark.parametrize("refused", [meshes, supports, settings, problems, materials, loads, contacts])
 def test_what_means_nothing_is_refused(refused: Callable[[], Iterator[Refused]]) -> None:
     for words, call in refused():
         with pytest.raises(SolverError, match=words) as caught:

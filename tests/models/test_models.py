@@ -1,4 +1,4 @@
-"""The registry: every name that a study can write runs, and agrees with its siblings where it must."""
+"""The registry: every name that a study can write runs, agrees with its siblings, has frames."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from fem_reference.condensed import CondensedProblem
+from fem_reference.linear import LinearProblem
+from fem_reference.loads import Load
+from solver_common.quadrature import facet_quadrature
 from tests.bodies import telling_params
 from vdm.solvers import SOLVERS
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
-from vdmbench.body.surface_measures import Surface, relative_l2
+from vdmbench.body.surface_measures import Surface, facet_area_vectors, relative_l2
+from vdmbench.models.frames import contact_frame
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.registry import DISPLACEMENT_ELEMENTS, Family, family_of, is_linear, split
@@ -173,14 +178,6 @@ def test_a_model_reads_the_keys_that_change_its_answer_and_no_others(name: str) 
         assert not are_read(others, asked), others
 
 
-def test_elements_read_no_parameters_of_the_vdm() -> None:
-    assert {bool(models.reads(name)) for name, model in models.all_models().items() if model.volumetric} == {
-        False
-    }
-    ours = [model for model in models.all_models().values() if model.family is not Family.ENGINES]
-    assert all(model.name.startswith("fem") == model.volumetric for model in ours)
-
-
 @pytest.mark.parametrize("gravity", [None, {"acceleration": [0.0, 0.0, -9.81]}], ids=["scaled", "solved"])
 def test_a_history_equals_its_steps_one_by_one(gravity: dict[str, object] | None) -> None:
     """Steps that are multiples of one load are scaled, others are solved; both against studies of one step."""
@@ -202,7 +199,7 @@ def test_a_history_equals_its_steps_one_by_one(gravity: dict[str, object] | None
                 assert_allclose(a, b, rtol=1e-9, atol=1e-11 * np.abs(b).max(), err_msg=field)
 
 
-@pytest.mark.parametrize("name", ["vdm-consistent", "fem-linear"])
+@pytest.mark.parametrize("name", ["vdm-consistent", "fem-linear", "fem-condensed", "fem"])
 def test_the_condition_is_estimated_where_it_is_asked_for(name: str, scene: Scene) -> None:
     plain, asked = (
         models.run_model(dataclasses.replace(scene, condition=condition), name) for condition in (False, True)
@@ -231,3 +228,74 @@ def test_which_elements_have_no_answer_for_an_incompressible_body_is_known(scene
     names = [m.name for m in models.all_models().values() if m.family is Family.ELEMENTS]
     refused = {name for name in names if models.run_model(scene, name).status[0].code == models.REFUSED}
     assert refused == set(DISPLACEMENT_ELEMENTS)
+
+
+PRESSED = {
+    "geometry": {"shape": "ellipsoid", "semi_axes": [0.06, 0.04, 0.05], "mesh_size": 0.013},
+    "constraints": [
+        {"kind": "fixed", "region": "base"},
+        {"kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"},
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def pressed() -> Scene:
+    study = Study.model_validate({key: value for key, value in STUDY.items() if key != "load"} | PRESSED)
+    return build_scene(study, build_mesh(study.geometry))
+
+
+def problem_of(scene: Scene, name: str) -> models.PressureProblem | None:
+    """What answers contact pressures linearly, set up."""
+    set_up = models.Prepared(scene, name).set_up
+    assert set_up is not None
+    return set_up.problem if models.superposes(name) else None
+
+
+@pytest.mark.parametrize("name", ["vdm-paper", "vdm-vector", "bem", "fem-linear", "fem-condensed"])
+def test_a_frame_is_the_answer_of_the_model(pressed: Scene, name: str) -> None:
+    result = models.run_model(pressed, name)
+    problem = problem_of(pressed, name)
+    assert problem is not None
+    frame = contact_frame(problem, pressed)
+    pressure = pressed.contact_pressure[pressed.contact]
+    largest = np.abs(result.displacement[-1]).max()
+    for factor in (1.0, 1.0, -0.5):  # the second frame may shorten the columns
+        displacement, fluid_pressure = frame(factor * pressure)
+        assert displacement.shape == (len(pressed.fixed), 3)
+        assert displacement.dtype == (np.float64 if name == "vdm-paper" else np.float32)
+        assert_allclose(displacement, factor * result.displacement[-1], rtol=0, atol=1e-6 * largest)
+        assert_allclose(fluid_pressure, factor * result.fluid_pressure[-1], rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("name", ["fem-linear", "fem-condensed"])
+def test_a_node_has_its_share_of_the_contact(pressed: Scene, name: str) -> None:
+    """100 Pa at one node: the contact's pressure times the node's share of each point, 100 Pa A_i in all."""
+    points, triangles = pressed.mesh.surface_points, pressed.mesh.triangles
+    problem = problem_of(pressed, name)
+    assert isinstance(problem, LinearProblem | CondensedProblem)
+    node = int(np.argmax(pressed.contact_pressure))
+    pressure = np.where(np.flatnonzero(pressed.contact) == node, 100.0, 0.0)
+    displacement, fluid_pressure = contact_frame(problem, pressed)(pressure)
+    corners, weights = facet_quadrature()
+    part = np.zeros_like(pressed.facet_pressure)
+    for facet, corner in zip(*np.nonzero(triangles == node), strict=True):
+        part[facet] = pressed.facet_pressure[facet] * corners[:, corner]
+    part *= 100.0 / pressed.contact_pressure[node]
+    areas = np.linalg.norm(facet_area_vectors(points, triangles), axis=1)
+    around = areas[(triangles == node).any(axis=1)].sum() / 3.0
+    assert_allclose(areas @ part @ weights, 100.0 * around, rtol=1e-12, atol=0)
+    solved = problem.solve([Load(part, np.zeros_like(pressed.prescribed), np.zeros(3))])
+    size = np.abs(solved.displacement).max()
+    assert_allclose(displacement, solved.displacement[0], rtol=0, atol=1e-6 * size)
+    assert_allclose(fluid_pressure, solved.fluid_pressure[0], rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("name", ["fem", "vdm-vector:nonlinear", "vdm-paper:bicg"])
+def test_other_models_have_no_columns(pressed: Scene, name: str) -> None:
+    assert problem_of(pressed, name) is None
+
+
+def test_a_penalty_has_no_columns(pressed: Scene) -> None:
+    penalised = dataclasses.replace(pressed, parameters={"penalty": 1e8})
+    assert problem_of(penalised, "vdm-paper") is None

@@ -23,7 +23,6 @@ from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.store.cases import read_case
 from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
-from vdmbench.work.keys import wanted
 from vdmbench.work.plan import make_plan
 
 pytestmark = pytest.mark.usefixtures("read_here")
@@ -161,22 +160,6 @@ def test_it_touches_first_at_depth_zero(box: Mesh) -> None:
     around = study(regions=everywhere, constraints=[TOUCH | {"region": "all"}])
     with pytest.raises(SceneError, match="faces every way; give push"):
         build_scene(around, box)
-
-
-def test_depths_are_one_load_path_of_one_body() -> None:
-    """Contact does not superpose: other depths are another answer of the same body."""
-    keys = [
-        wanted(study(part, **tables), "mesh")[1]
-        for part, tables in (
-            (TOUCH, {}),
-            (TOUCH | {"depth": 0.003}, {}),
-            (TOUCH, {"load": {"factors": [0.5, 1.0]}}),
-            (TOUCH | {"radius": 0.3}, {}),
-        )
-    ]
-    assert len({one.body for one in keys}) == 1
-    assert len({one.answers for one in keys}) == 4
-    assert {one.scales for one in keys} == {()}
 
 
 def test_what_else_acts_goes_with_its_step(box: Mesh) -> None:

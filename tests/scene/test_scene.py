@@ -24,6 +24,7 @@ from vdmbench.scene.regions import select
 from vdmbench.scene.scene import Scene, SceneError, build_scene
 from vdmbench.study.errors import Loc, MeshError
 from vdmbench.study.schema import Region, Study
+from vdmbench.work.keys import wanted
 
 BASE: dict[str, Any] = {
     "study": {"name": "test", "models": ["vdm-paper", "fem-linear"], "reference": "fem-linear"},
@@ -316,6 +317,61 @@ def test_a_scene_that_makes_no_sense_is_told_with_its_place(
     with pytest.raises(SceneError, match=message) as caught:
         build_scene(study(**tables), sphere)
     assert place in (None, caught.value.place)
+
+
+# --- what is set up once, and what is answered once ---
+
+CLAMP, PUSH = BASE["constraints"]
+BED = {"kind": "elastic", "region": "base", "stiffness": 2e5}
+TOUCH = {"kind": "indenter", "region": "finger", "shape": "sphere", "radius": 0.1, "depth": 0.002}
+LINE = {"kind": "line", "region": "finger", "resultant": [1e-3, 2e-3, -5e-3]}
+LUMP = {"name": "lump", "ball": {"center": [0.0, 0.0, 0.0], "radius": 0.02}, "youngs_modulus": 5e4}
+ALONE = BASE["study"] | {"homogeneous": ["vdm-paper"]}
+FUNG = BASE["tissue"] | {"law": "fung", "exponent": 4.0}
+
+
+def acting(*parts: dict[str, Any]) -> dict[str, Any]:
+    return {"constraints": [CLAMP, *parts]}
+
+
+@pytest.mark.parametrize(
+    ("model", "bodies", "n_answers", "variants"),
+    [
+        (
+            "fem-linear",
+            1,
+            2,
+            [acting(BED, PUSH), acting(BED, PUSH | {"pressure": 400.0, "profile": "hertz"})],
+        ),
+        ("fem-linear", 2, 2, [acting(BED, PUSH), acting(BED | {"stiffness": 3e5}, PUSH)]),
+        ("fem-linear", 2, 2, [acting(BED, PUSH), acting(BED | {"direction": "full"}, PUSH)]),
+        ("fem-linear", 2, 2, [acting(BED, PUSH), {}]),
+        (
+            "fem-linear",
+            1,
+            3,
+            [acting(TOUCH), acting(TOUCH | {"depth": 3e-3}), acting(TOUCH | {"radius": 0.3})],
+        ),
+        ("fem-linear", 1, 2, [acting(TOUCH), acting(TOUCH) | {"load": {"factors": [0.5, 1.0]}}]),
+        ("fem-linear", 1, 1, [acting(LINE), acting(LINE | {"resultant": [2e-3, 4e-3, -1e-2]})]),
+        ("fem-linear", 1, 2, [acting(LINE), acting(LINE | {"resultant": [0.0, 0.0, 1e-3]})]),
+        ("fem-linear", 2, 2, [{}, {"inclusions": [LUMP]}]),
+        ("fem-linear", 2, 2, [{"inclusions": [LUMP]}, {"inclusions": [LUMP | {"youngs_modulus": 2e3}]}]),
+        ("vdm-paper", 1, 1, [{}, {"study": ALONE, "inclusions": [LUMP]}]),
+        ("vdm-paper", 2, 2, [{}, {"inclusions": [LUMP]}]),  # which it refuses
+        ("vdm-paper", 1, 1, [{}, {"tissue": FUNG}]),  # a law of large strain
+        ("fem", 3, 3, [{}, {"tissue": FUNG}, {"tissue": FUNG | {"exponent": 5.0}}]),
+    ],
+)
+def test_bodies_and_answers_are_shared_by_studies_that_differ_in_nothing_they_need(
+    model: str, bodies: int, n_answers: int, variants: list[dict[str, Any]]
+) -> None:
+    names = {"models": ("vdm-paper", "fem-linear", "fem")}
+    of = [study(**{"study": BASE["study"], **tables}) for tables in variants]
+    of = [one.model_copy(update={"study": one.study.model_copy(update=names)}) for one in of]
+    found = [next(want for want in wanted(one, "mesh") if want.name == model) for one in of]
+    assert len({want.body for want in found}) == bodies
+    assert len({want.answers for want in found}) == n_answers
 
 
 PLACE = np.array([-0.4, 0.3, 1.5])  # m, as in a scan of a whole body

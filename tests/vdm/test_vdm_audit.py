@@ -144,20 +144,6 @@ def test_refinement_takes_slivers_out_of_a_factor_in_single_precision(formulatio
     assert single.solve([load]).status[0].code == "inaccurate"
 
 
-@pytest.mark.parametrize("formulation", WITH_MATRIX)
-def test_supports_that_shrink_to_a_node(formulation: str) -> None:
-    lowest = np.argsort(POINTS[:, 2])
-    for count in (6, 4, 3, 2, 1):
-        held = np.zeros(len(POINTS), dtype=bool)
-        held[lowest[:count]] = True
-        model = made(POINTS, formulation, held)
-        if isinstance(model, str):
-            assert count < 3, model
-            assert "free to move" in model
-        else:
-            assert held_to_the_truth(model, FINGER, 1e-7) == "converged"
-
-
 def linear(formulation: str) -> Model:
     model = made(POINTS, formulation, BASE)
     assert isinstance(model, Model), model

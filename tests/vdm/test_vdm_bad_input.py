@@ -60,6 +60,14 @@ def parameters() -> Iterator[Refused]:
         yield ParameterError, "shear_modulus", lambda soft=soft: model("bem", soft)
     told = "needs shear_modulus, one positive number"
     yield ParameterError, told, lambda: MassSpringFormulation(BODY, Parameters(surface_tension=50.0))
+    for name, moduli in (
+        ("consistent", ("foundation", "surface_tension")),
+        ("vector", ("surface_tension",)),
+        ("bem-sparse", ("shear_modulus",)),
+    ):
+        without, zero = (dict.fromkeys(moduli, value) for value in (None, 0.0))
+        yield ParameterError, moduli[0], lambda n=name, m=without: model(n, Parameters(**m))
+        yield ParameterError, f"{moduli[-1]}.*positive", lambda n=name, m=zero: model(n, Parameters(**m))
     yield ParameterError, "outputs must be one of", lambda: model("paper", outputs=("colour",))
     yield ParameterError, 'needs solver "lu"', lambda: model("paper", constraint_method="penalty-added")
     for option, value in (("contact_sign", "outward"), ("volume_row", "exactly"), ("solver", "")):

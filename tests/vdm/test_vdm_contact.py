@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.vdm.vdm_shapes import icosphere
-from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm import ConstraintError, Load, Model, Parameters, SurfaceMesh
 from vdm.solvers import columns
 from vdm.solvers.compliance import ContactCompliance
 
@@ -57,6 +57,8 @@ def test_a_contact_all_over_the_body_is_not_shortened(solver):
     for _ in range(3):
         assert error_of_a_frame(contact, solver, nodes, np.full(len(nodes), 50.0)) < 1e-6
     assert contact.prepare(nodes)._short is None
+    with pytest.raises(ConstraintError, match="contact nodes"):
+        contact.prepare(np.array([len(POINTS)]))
 
 
 @pytest.mark.parametrize(("axis", "least"), [(0, 0.5), (2, 0.3)])

@@ -12,7 +12,6 @@ from tests.vdm.vdm_shapes import BASE, BODY, POINTS, TRIANGLES, box, icosphere, 
 from tests.verification.records import Verified
 from vdm import (
     FORMULATIONS,
-    ConstraintError,
     Load,
     Model,
     ParameterError,
@@ -22,7 +21,6 @@ from vdm import (
 )
 from vdm.material import ROTATIONS, ball_compliance
 from vdm.solvers import SOLVERS
-from vdm.solvers.compliance import ContactCompliance
 
 FINGER = Load(np.where(POINTS[:, 2] > 0.035, 200.0, 0.0))
 NAMES = list(FORMULATIONS)
@@ -59,24 +57,6 @@ def test_a_push_dents_and_the_printed_sign_bulges(formulation):
     shifted = model(formulation, environment_pressure=1e3).solve([FINGER])
     assert_allclose(shifted.fluid_pressure, inward.fluid_pressure + 1e3, rtol=1e-14, atol=0.0)
     assert_allclose(shifted.displacement, inward.displacement, rtol=0.0, atol=0.0)
-
-
-@pytest.mark.parametrize("formulation", NAMES)
-def test_compliance_columns_equal_the_full_solve(formulation):
-    solver = model(formulation)
-    compliance = ContactCompliance(solver.problem, single_precision=False)
-    nodes = np.flatnonzero(FINGER.contact_pressure)
-    unknown, pressure = compliance.frame(nodes, FINGER.contact_pressure[nodes])
-    full = solver.solve([FINGER])
-    moved = solver.formulation.displacement(unknown)
-    assert_allclose(moved, full.displacement[0], rtol=0.0, atol=1e-13 * np.abs(moved).max())
-    assert_allclose(pressure, full.fluid_pressure[0], rtol=1e-12, atol=0.0)
-    coarse = ContactCompliance(solver.problem)
-    unknown, _ = coarse.frame(nodes[::-1], FINGER.contact_pressure[nodes[::-1]])
-    moved_32 = solver.formulation.displacement(unknown)
-    assert_allclose(moved_32, moved, rtol=0.0, atol=1e-6 * np.abs(moved).max())
-    with pytest.raises(ConstraintError, match="contact nodes"):
-        compliance.prepare(np.array([len(POINTS)]))
 
 
 def test_one_scalar_factor_equals_the_full_vector_factor():
@@ -124,18 +104,6 @@ def test_normal_traction_balances_fluid_and_contact(formulation):
     assert_allclose(solution.point_fields["normal_traction"][0][~BASE], expected[~BASE], rtol=0.0, atol=1e-8)
     assert solver.solve([]).displacement.shape == (0, len(POINTS), 3)
     assert not model(formulation).solve([FINGER]).point_fields
-
-
-def test_nodal_stress_is_given_when_asked():
-    solver = model("paper", outputs=("nodal_stress",))
-    solution = solver.solve([FINGER])
-    normal = np.einsum("ic,ic->i", solution.displacement[0], BODY.normals)
-    change = BODY.nodal_areas * normal
-    node = int(np.argmax(POINTS[:, 2]))
-    neighbours = BODY.edges[(BODY.edges == node).any(axis=1)].sum(axis=1) - node
-    factor = solver.formulation.bulk_modulus[node] / BODY.nodal_volumes[node]
-    expected = factor * (change[node] - change[neighbours].sum())
-    assert_allclose(solution.point_fields["nodal_stress"][0, node], expected, rtol=1e-12, atol=0.0)
 
 
 def test_penalty_error_falls_as_one_over_alpha():
@@ -251,27 +219,6 @@ def test_a_foundation_needs_nothing_held(formulation, solver):
     direct = model(formulation, fixed=None).solve([FINGER]).displacement
     tolerance = 0.2 if solver == "nonlinear" else 1e-3 if solver == "quasi-linear" else 1e-6
     assert_allclose(free.displacement, direct, rtol=0.0, atol=tolerance * np.abs(direct).max())
-
-
-MODULI = {
-    "paper": ("bulk_modulus", "connectivity_modulus"),
-    "consistent": ("foundation", "surface_tension"),
-    "vector": ("surface_tension",),
-    "bem": ("shear_modulus",),
-    "bem-sparse": ("shear_modulus",),
-    "mass-spring": ("shear_modulus",),
-}
-
-
-@pytest.mark.parametrize("formulation", NAMES)
-def test_moduli_without_meaning_are_refused_by_every_form(formulation):
-    rule = Parameters.from_tissue(5e3, BODY, formulation)
-    for name in MODULI[formulation]:
-        for value in (-1.0, np.nan, np.inf, None):
-            with pytest.raises(ParameterError, match=name):
-                model(formulation, parameters=replace(rule, **{name: value}))
-    with pytest.raises(ParameterError, match=f"{MODULI[formulation][-1]}.*positive"):
-        model(formulation, parameters=replace(rule, **dict.fromkeys(MODULI[formulation], 0.0)))
 
 
 def test_one_frame_is_spent_before_any_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:

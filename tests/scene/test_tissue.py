@@ -1,15 +1,16 @@
-"""Parts of the inside with moduli of their own, by a study: known by elements, refused or left out by others."""
+"""What the tissue is, by a study: parts of the inside with moduli of their own, and laws of large strain."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from fem_reference.materials import PARAMETERS
 from tests.bodies import telling_names
 from tests.fem.shapes import cube
 from vdmbench import models
@@ -28,8 +29,8 @@ from vdmbench.measures.reference import level_scene
 from vdmbench.scene.inclusions import moduli
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
-from vdmbench.study.schema import Study
-from vdmbench.work.keys import case_hash, wanted
+from vdmbench.study.registry import is_linear
+from vdmbench.study.schema import LAWS, Study, Tissue
 
 UPPER: dict[str, Any] = {
     "name": "upper",
@@ -216,18 +217,73 @@ def test_a_group_of_tetrahedra_is_kept_with_the_mesh(bar: Mesh, tmp_path: Path) 
         build_scene(study(inclusions=[group | {"group": "vessel"}]), stored)
 
 
-def test_keys_have_what_a_model_knows() -> None:
-    """Another modulus inside is another body for elements, and the same for a model that leaves it out."""
-    homogeneous = BASE["study"] | {"homogeneous": ["bem"]}
-    tables: dict[str, dict[str, Any]] = {
-        "base": {"study": homogeneous},
-        "stiffer": {"study": homogeneous, "inclusions": [UPPER | {"youngs_modulus": 2e3}]},
-        "without": {"inclusions": None},
-        "refusing": {},
-    }
-    keys = {name: wanted(study(**given), "mesh") for name, given in tables.items()}
-    boundary, elements = ({name: pair[k].body for name, pair in keys.items()} for k in range(2))
-    assert boundary["base"] == boundary["stiffer"] == boundary["without"] != boundary["refusing"]
-    assert elements["base"] == elements["refusing"]
-    assert len({elements[name] for name in ("base", "stiffer", "without")}) == 3
-    assert len({case_hash(study(**given), "mesh") for given in tables.values()}) == 4
+PLAIN = {"youngs_modulus": 1000.0, "poisson_ratio": 0.5}
+PRESSED = [{"kind": "fixed", "region": "bottom"}, {"kind": "contact", "region": "top", "pressure": 300.0}]
+# each with numbers that leave I1' alone, whose energy differs from the neo-Hookean one where J is not 1, and others
+NEO = {
+    "mooney-rivlin": {"second_share": 0.0},
+    "yeoh": {"second_ratio": 0.0, "third_ratio": 0.0},
+    "fung": {"exponent": 1e-9},
+    "ogden": {"exponents": [2.0], "shares": [1.0]},
+}
+OTHER = {
+    "mooney-rivlin": {"second_share": 0.8},
+    "yeoh": {"second_ratio": 1.0, "third_ratio": 0.5},
+    "fung": {"exponent": 4.0},
+    "ogden": {"exponents": [8.0, -2.0], "shares": [0.7, 0.3]},
+}
+
+
+def of_law(law: dict[str, Any] | None = None) -> Study:
+    return study(tissue=PLAIN | (law or {}), constraints=PRESSED, inclusions=None)
+
+
+@pytest.fixture(scope="module")
+def box() -> Mesh:
+    return build_mesh(of_law().geometry)
+
+
+def pressed(box: Mesh, law: dict[str, Any]) -> np.ndarray:
+    result = models.run_model(build_scene(of_law(law), box), "fem")
+    assert result.status[0].ok
+    return result.displacement[0]
+
+
+@pytest.fixture(scope="module")
+def of_first_invariant(box: Mesh) -> np.ndarray:
+    """Near the neo-Hookean answer: an element keeps its volume on the mean, not at every point."""
+    found = pressed(box, {"law": "yeoh"} | NEO["yeoh"])
+    plain = pressed(box, {})
+    assert np.abs(plain).max() > 0.15, "large enough to tell laws apart"
+    assert 1e-4 < np.abs(found - plain).max() < 0.03 * np.abs(plain).max()
+    return found
+
+
+@pytest.mark.parametrize("law", ["mooney-rivlin", "fung", "ogden"])
+def test_each_law_has_that_of_the_first_invariant_in_it(
+    box: Mesh, law: str, of_first_invariant: np.ndarray
+) -> None:
+    assert_allclose(pressed(box, {"law": law} | NEO[law]), of_first_invariant, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("law", OTHER)
+def test_numbers_of_a_law_make_a_difference(box: Mesh, law: str, of_first_invariant: np.ndarray) -> None:
+    assert np.abs(pressed(box, {"law": law} | OTHER[law]) - of_first_invariant).max() > 0.005
+
+
+@pytest.mark.parametrize("name", telling_names())
+def test_other_models_of_large_displacements_refuse_it_by_name(box: Mesh, name: str) -> None:
+    if is_linear(name) or name in ("fem", "fem:linear"):
+        return
+    result = models.run_model(build_scene(of_law({"law": "fung", "exponent": 4.0}), box), name)
+    assert result.status[0].code == models.REFUSED
+    assert result.status[0].message.startswith(
+        f"{name} has no such law of large strain; leave out tissue.law"
+    )
+
+
+def test_names_and_keys_are_those_of_the_elements() -> None:
+    """Every law that has numbers of its own is there, with these numbers."""
+    there = {law.material: law.keys for law in LAWS.values()}
+    assert there == {name: keys for name, keys in PARAMETERS.items() if name != "transversely-isotropic"}
+    assert set(LAWS) == set(get_args(get_args(Tissue.model_fields["law"].annotation)[0]))
