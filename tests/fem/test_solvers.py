@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.sparse import csc_array
+from scipy.sparse import csc_array, eye_array, kron
 from scipy.sparse.linalg import spsolve
 
 from fem_reference import linear_algebra
@@ -21,6 +21,7 @@ from fem_reference.linear_algebra import (
 )
 from fem_reference.loads import held_nodes
 from fem_reference.mesh import TetMesh
+from fem_reference.multigrid import _galerkin, _prolongation
 from fem_reference.solution import SolverError
 from fem_reference.system import LinearSystem, build_system
 from tests.fem.shapes import cube
@@ -57,6 +58,17 @@ def test_single_precision_gives_way_to_double_where_it_is_too_coarse() -> None:
     solved = solver.solve(rhs)
     assert solver.precision == "float64"
     assert_allclose(solved.x, _exact(stiff, rhs[:, 0])[:, None], rtol=0, atol=1e-6 * np.abs(solved.x).max())
+
+
+def test_the_coarse_matrix_is_a_product() -> None:
+    system = _system()
+    vertices = system.kept[system.kept < system.mesh.n_vertices]
+    prolongation = _prolongation(system.mesh, system.kept, vertices)
+    all_components = kron(prolongation, eye_array(3), format="csr")
+    free = ~system.held[vertices]
+    assert free.all()
+    expected = (all_components.T @ system.stiffness @ all_components).toarray()
+    assert_allclose(_galerkin(system.stiffness, prolongation, free).toarray(), expected, rtol=0, atol=1e-13)
 
 
 def test_iterations_do_not_grow_towards_incompressibility() -> None:

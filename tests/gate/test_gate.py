@@ -157,6 +157,17 @@ def test_what_cannot_be_compared_names_what_changed_and_does_not_pass(now: CaseR
     assert gate.why_not_passed(both, allow_missing=True) == ""
 
 
+def test_nothing_but_nulls_does_not_pass() -> None:
+    metrics = {
+        name: {key: dataclasses.replace(one, values=np.full(4, np.nan)) for key, one in found.items()}
+        for name, found in CASE.metrics.items()
+    }
+    lost = dataclasses.replace(CASE, metrics=metrics, reference_error={})
+    found = findings(lost, was=gate.baseline_of(make_run([lost])))
+    assert set(counts(found)) == {gate.STILL_FAILING}
+    assert "not one number" in gate.why_not_passed(found, allow_missing=True)
+
+
 def test_inputs_are_named_by_key_and_names_lists_and_folders_are_none() -> None:
     sweep = [
         of_study(dataclasses.replace(CASE, label=f"{E}", hash=f"{E}"), _stiff(E)) for E in (1e3, 2e3, 3e3)
