@@ -13,7 +13,7 @@ from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_tw
 from .fields import unit_of
 from .kinds import Table
 from .measured import Measured, same_load
-from .registry import BROKEN, DISPLACEMENT_ELEMENTS, find, model_names, reads, split
+from .registry import BROKEN, DISPLACEMENT_ELEMENTS, find, lacks, model_names, reads, split
 from .schema import (
     LAW_KEYS,
     LAWS,
@@ -22,6 +22,7 @@ from .schema import (
     Inclusion,
     Region,
     Study,
+    extras_for,
 )
 from .shapes import (
     SURFACE_SUFFIXES,
@@ -75,28 +76,22 @@ def _check_models(study: Study) -> Iterator[Finding]:
         if name not in info.models:
             yield ("models", name), unknown(name, info.models, "model of this study")
     if set(info.models) <= set(known):  # of a wrong name nobody knows what it was to read
-        yield from _check_reference(study)
+        yield from refusals(study, info.reference) if info.reference in info.models else ()
         yield from _check_read(study)
 
 
-def holds_nothing(study: Study) -> bool:
-    """Whether no constraint holds or supports a part of the body, so that elements have no answer."""
-    return not any(part.holds or part.supports for part in study.constraints)
-
-
-def _check_reference(study: Study) -> Iterator[Finding]:
-    reference = study.study.reference
-    if reference not in study.study.models or reference is None:
-        return
-    if study.tissue.poisson_ratio == 0.5 and split(reference)[0] in DISPLACEMENT_ELEMENTS:
-        yield (
-            ("tissue", "poisson_ratio"),
-            f"{reference}, the reference, is a displacement element, which cannot be incompressible; "
-            'use reference = "fem-linear", or a ratio below 0.5',
-        )
-    if find(reference)[0].volumetric and holds_nothing(study):
-        text = f"nothing is held, so {reference} has no answer; hold a region, by kind fixed or constrained"
-        yield ("study", "reference"), text
+def refusals(study: Study, name: str) -> Iterator[Finding]:
+    """Why a model of a study has no answer to it, told beside the model's name, and the key that has it so."""
+    model, _ = find(name)
+    if model.volumetric and not any(part.holds or part.supports for part in study.constraints):
+        yield ("study", "models"), f"{name}: nothing is held; hold a region, by kind fixed or constrained"
+    if split(name)[0] in DISPLACEMENT_ELEMENTS and study.tissue.poisson_ratio == 0.5:
+        told = "a displacement element cannot be incompressible; use fem-linear, or a ratio below 0.5"
+        yield ("tissue", "poisson_ratio"), f"{name}: {told}"
+    if not model.fibres and study.anisotropy:
+        yield ("anisotropy",), f"{name}: it is isotropic; use another model for fibres"
+    for told in lacks(name, extras_for(name, study)):
+        yield ("study", "models"), told
 
 
 def _check_read(study: Study) -> Iterator[Finding]:

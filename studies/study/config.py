@@ -11,7 +11,7 @@ from typing import Any
 
 import tomli_w
 
-from .checks import holds_nothing, validate
+from .checks import validate
 from .errors import Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown, value_at
 from .fields import targets
 from .files import changed_keys, merged
@@ -33,7 +33,7 @@ from .sweep import (
 from .toml_lines import TooLarge, key_lines, statements
 from .units import shown
 
-__all__ = ["ResolvedCase", "Study", "StudyError", "holds_nothing"]  # and what is defined here
+__all__ = ["ResolvedCase", "Study", "StudyError"]  # and what is defined here
 
 ALL_LOADS = "load"  # limits.along: every load of the study, in proportion
 MAX_BYTES = 1_000_000  # of a study file

@@ -8,11 +8,10 @@ from typing import Any
 
 from .. import models
 from ..machine import machine_memory
-from ..study.config import holds_nothing
+from ..study.checks import refusals
 from ..study.errors import Finding, MeshError
 from ..study.files import told_directory, without_folders
-from ..study.registry import DISPLACEMENT_ELEMENTS, REFINED, Size, lacks, split
-from ..study.schema import extras_for
+from ..study.registry import REFINED, Size
 from .plan import Plan, PlannedCase, PlannedMesh
 from .tasks import Task, tasks_of
 
@@ -120,31 +119,20 @@ def _held(plan: Plan, asked: Mapping[str, Any]) -> float:
 
 def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     """What models will refuse of these cases."""
-    return [
-        told
-        for name in plan.study.study.models
-        for told in dict.fromkeys(f"{name}{why}" for why in _refusals(plan, cases, name))
-    ]
+    return list(
+        dict.fromkeys(told for name in plan.study.study.models for told in _refusals(plan, cases, name))
+    )
 
 
 def _refusals(plan: Plan, cases: Sequence[PlannedCase], name: str) -> Iterator[str]:
-    """Why a model refuses some of these cases, behind its name."""
-    model, studies = models.find(name)[0], [case.study for case in cases]
-    if model.volumetric and any(map(holds_nothing, studies)):
-        yield ": nothing is held; hold a region, by kind fixed or constrained"
-    if split(name)[0] in DISPLACEMENT_ELEMENTS and any(each.tissue.poisson_ratio == 0.5 for each in studies):
-        yield (
-            " at a Poisson ratio of 0.5: a displacement element cannot be incompressible; use fem-linear, or a "
-            "ratio below 0.5"
-        )
-    if not model.fibres and any(each.anisotropy for each in studies):
-        yield ": it is isotropic; use another model for fibres"
-    for study in studies:
-        yield from (told.removeprefix(name) for told in lacks(name, extras_for(name, study)))
+    """Why a model refuses some of these cases."""
+    model = models.find(name)[0]
+    for case in cases:
+        yield from (told for _, told in refusals(case.study, name))
     for mesh in dict.fromkeys(case.mesh for case in cases) if model.most_nodes else ():
         size = _size(plan.meshes[mesh])
         if size is not None and size.nodes > (model.most_nodes or 0):
             yield (
-                f" on a mesh of about {size.nodes:,.0f} surface nodes, more than its {model.most_nodes:,}; use a "
-                "larger mesh_size, or leave the model out"
+                f"{name} on a mesh of about {size.nodes:,.0f} surface nodes, more than its {model.most_nodes:,}; "
+                "use a larger mesh_size, or leave the model out"
             )
