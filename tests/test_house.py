@@ -305,7 +305,7 @@ def test_a_registered_model_declares_what_its_library_says() -> None:
     surface = {name: model for name, model in models.all_models().items() if not model.volumetric}
     rules = {name.removeprefix("vdm-"): model.by_rule for name, model in surface.items()}
     assert rules == {name: tuple(Parameters.from_tissue(1.0, body, name).moduli()) for name in rules}
-    assert {name.removeprefix("vdm-") for name, m in surface.items() if not m.fibres} == set(
+    assert {name.removeprefix("vdm-") for name, m in surface.items() if "fibres" not in m.takes} == set(
         vdm.material.ISOTROPIC
     )
     assert models.find("mass-spring")[0].most_nodes == vdm.peers.mass_spring.MAX_NODES

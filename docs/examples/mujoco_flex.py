@@ -157,7 +157,6 @@ register(
         superposes=(),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=(),
-        fibres=False,
         takes=dict.fromkeys(TAKES, ("linear",)),
         memory=lambda size, _: 2e8 + 5e4 * size.tetrahedra,
     )

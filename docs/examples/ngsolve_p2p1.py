@@ -216,7 +216,6 @@ register(
         superposes=("linear",),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=(),
-        fibres=False,
         takes={"dead forces": ("linear", "nonlinear")},
         memory=lambda size, _: 4e8 + 4e4 * size.tetrahedra,
     )

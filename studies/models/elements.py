@@ -249,7 +249,8 @@ DEAD, FLUID = "dead forces", "fluid in cavities"  # of `vdmbench.study.registry.
 
 def _takes(solvers: tuple[str, ...], *more: str) -> dict[str, tuple[str, ...]]:
     """What all elements take that not every model does, and more."""
-    return dict.fromkeys(("normal springs", "full springs", "inclusions", "cavities", *more), solvers)
+    every = ("normal springs", "full springs", "inclusions", "cavities", "fibres")
+    return dict.fromkeys((*every, *more), solvers)
 
 
 # Bytes at the peak of a process: multigrid, which is taken where a factor has no room; an LU factor of the plain
@@ -276,7 +277,6 @@ _elements = partial(
     superposes=("linear",),
     tissue=("youngs_modulus", "poisson_ratio"),
     parameters=(),
-    fibres=True,
     memory=_quadratic,
     takes=_takes(_ONE),
 )

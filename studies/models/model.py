@@ -131,8 +131,6 @@ class Prepared:
         self.set_up: SetUp | None = None
         prepare = (self.model.continues if onward else None) or self.model.prepare
         try:
-            if scene.anisotropy is not None and not self.model.fibres:
-                raise ValueError(f"{self.model.name} is isotropic; use another model for fibres")
             if lacking := lacks(name, scene.extras):
                 raise ValueError(lacking[0])
             self.set_up = prepare(scene, solver, name, n_loads)

@@ -264,8 +264,10 @@ _surface = partial(
 )
 # of `vdmbench.study.registry.EXTRAS`
 SPRINGS, FULL, DEAD, INCLUSIONS = "normal springs", "full springs", "dead forces", "inclusions"
-CAVITIES, FLUID = "cavities", "fluid in cavities"
+CAVITIES, FLUID, FIBRES = "cavities", "fluid in cavities", "fibres"
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
+# MINRES needs a symmetric matrix, which the printed form has not
+PRINTED = (*(name for name in SOLVERS if name != "minres"), INCREMENTAL, FIGURE_8)
 DIRECT = ("linear", "lu")  # which alone solve a penalty, (25) and (26)
 _OF_SOLVERS = ("tolerance", "stop", "volume_row")
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", *_OF_SOLVERS)
@@ -274,36 +276,32 @@ for _registered in (
         name="vdm-paper",
         family=Family.PRINTED,
         version="5",
-        # MINRES needs a symmetric matrix, which the printed form has not
-        solvers=(*(name for name in SOLVERS if name != "minres"), INCREMENTAL, FIGURE_8),
+        solvers=PRINTED,
         # the nonlinear solver's areas, and with them its springs, grow with the deformation
-        takes={SPRINGS: tuple(name for name in SOLVERS if name not in ("minres", "nonlinear"))},
+        takes={FIBRES: PRINTED, SPRINGS: tuple(one for one in SOLVERS if one not in ("minres", "nonlinear"))},
         parameters=("bulk_modulus", "connectivity_modulus", "penalty", "tolerance", "stop", "volume_row"),
         of_solvers={"penalty": DIRECT, "stop": (FIGURE_8,), "volume_row": ("quasi-linear", FIGURE_8)},
         by_rule=("bulk_modulus", "connectivity_modulus"),
-        fibres=True,
     ),
     _surface(
         name="vdm-consistent",
         family=Family.DERIVED,
         version="6",
         solvers=SOLVERS,
-        takes={SPRINGS: SOLVERS},
+        takes=dict.fromkeys((SPRINGS, FIBRES), SOLVERS),
         parameters=("foundation", "surface_tension", "penalty", "tolerance"),
         of_solvers={"penalty": DIRECT},
         by_rule=("foundation", "surface_tension"),
-        fibres=True,
     ),
     _surface(
         name="vdm-vector",
         family=Family.DERIVED,
         version="9",
         solvers=SOLVERS,
-        takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
+        takes=dict.fromkeys((SPRINGS, FULL, DEAD, FIBRES), SOLVERS),
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
         of_solvers={"penalty": DIRECT},
         by_rule=("surface_tension",),
-        fibres=True,
     ),
     _surface(
         name="bem",
@@ -320,7 +318,6 @@ for _registered in (
         of_solvers={"parts": ("nonlinear",), "penalty": ("linear",)},
         most_nodes=2000,
         by_rule=("shear_modulus",),
-        fibres=False,
     ),
     _surface(
         name="bem-sparse",
@@ -332,7 +329,6 @@ for _registered in (
         of_solvers={"parts": ("nonlinear",)},
         by_rule=("shear_modulus",),
         takes={DEAD: ("linear", "single", "nonlinear")},
-        fibres=False,
     ),
     _surface(
         name="mass-spring",
@@ -344,7 +340,6 @@ for _registered in (
         of_solvers={"penalty": DIRECT},
         by_rule=("shear_modulus",),
         most_nodes=5000,
-        fibres=False,
     ),
 ):
     register(_registered)

@@ -187,8 +187,6 @@ def cannot_express(body: Handout, takes: frozenset[str]) -> str:
     """Why linear tetrahedra of an isotropic law that take these extras cannot be this scene; "" where they can."""
     if body.tissue.poisson_ratio == 0.5:
         return "its tetrahedra have no law for an incompressible tissue; give a poisson_ratio below 0.5"
-    if body.scene.anisotropy:
-        return "its law is isotropic; leave [anisotropy] out"
     if others := sorted(set(body.scene.extras) - takes):
         return f"not expressed here: {', '.join(others)}; leave out what makes them"
     return ""
@@ -263,4 +261,4 @@ def scene_json(body: Handout) -> str:
 def left_out(body: Handout) -> list[str]:
     """What the JSON has no words for."""
     known = TAKES | {"normal springs", "full springs", "inclusions"}
-    return [*sorted(set(body.scene.extras) - known), *(["fibres"] if body.scene.anisotropy else [])]
+    return sorted(set(body.scene.extras) - known)

@@ -88,8 +88,6 @@ def refusals(study: Study, name: str) -> Iterator[Finding]:
     if split(name)[0] in DISPLACEMENT_ELEMENTS and study.tissue.poisson_ratio == 0.5:
         told = "a displacement element cannot be incompressible; use fem-linear, or a ratio below 0.5"
         yield ("tissue", "poisson_ratio"), f"{name}: {told}"
-    if not model.fibres and study.anisotropy:
-        yield ("anisotropy",), f"{name}: it is isotropic; use another model for fibres"
     for told in lacks(name, extras_for(name, study)):
         yield ("study", "models"), told
 

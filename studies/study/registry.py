@@ -67,6 +67,7 @@ EXTRAS = {  # what a study has that not every model takes -> what is said of one
     "dead forces": "takes no dead force along a line or over facets; use another model for it",
     "normal springs": "takes no springs along the normal; use another model for them",
     "full springs": "takes no springs that resist in every direction; use another model for them",
+    "fibres": "is isotropic; use another model for fibres",
     "inclusions": "knows no inclusions; study.homogeneous lets it answer without them, or leave it out",
     "indenter": "takes no rigid indenter; use another model for it, or give its pressure as a contact",
     "law": "has no such law of large strain; leave out tissue.law, or the model",
@@ -132,7 +133,6 @@ class Declared:
     tissue : keys of [tissue] that it reads, the density apart, which all read where a weight acts
     parameters : keys of [vdm] and of its own table that it reads
     by_rule : of these the moduli that it takes from the tissue where a study does not set them
-    fibres : whether it solves a body with fibres; one that does not is refused them
     most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
     memory : (mesh, solver) -> bytes that a set-up takes, about: a plan refuses what has no room; None where little
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
@@ -148,7 +148,6 @@ class Declared:
     superposes: tuple[str, ...]
     tissue: tuple[str, ...]
     parameters: tuple[str, ...]
-    fibres: bool
     by_rule: tuple[str, ...] = ()
     most_nodes: int | None = None
     memory: Callable[[Size, str], float] | None = None

@@ -517,6 +517,8 @@ def extras_of(study: Study) -> frozenset[str]:
         found.add("fluid in cavities")
     if study.inclusions:
         found.add("inclusions")
+    if study.anisotropy is not None:
+        found.add("fibres")
     if study.gravity is not None and study.gravity.scanned and any(study.gravity.acceleration):
         found.add(SCANNED)
     return frozenset(found)

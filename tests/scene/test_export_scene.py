@@ -237,7 +237,7 @@ def test_mujoco_scene_holds_masses_forces_and_moves(body: Handout, out: Path) ->
     ("tables", "told"),
     [
         ({"tissue": {"youngs_modulus": 5000.0, "poisson_ratio": 0.5}}, "poisson_ratio below 0.5"),
-        ({"anisotropy": {"fibre_direction": [1.0, 0.0, 0.0], "contrast": 2.0}}, "leave [anisotropy] out"),
+        ({"anisotropy": {"fibre_direction": [1.0, 0.0, 0.0], "contrast": 2.0}}, "not expressed here: fibres"),
         ({"inclusions": [LUMP]}, "not expressed here: inclusions"),
         ({"constraints": [*STUDY["constraints"], SPRINGS]}, "not expressed here: normal springs"),
     ],

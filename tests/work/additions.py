@@ -79,7 +79,7 @@ def test_a_model_of_another_package() -> None:
 def test_a_model_of_another_package_is_refused_fibres_and_has_a_table_of_its_own() -> None:
     fibres = "[anisotropy]\nfibre_direction = [1, 0, 0]\ncontrast = 2.0\n"
     assert planned(SPRINGS + fibres)["refused"]
-    assert "springs: it is isotropic; use another model for fibres" in command("plan", "study.toml")
+    assert "springs is isotropic; use another model for fibres" in command("plan", "study.toml")
     assert_told(
         {
             SPRINGS + '[models.springs]\ngain = "3 mm"\n': "models.springs.gain: ",
