@@ -21,7 +21,7 @@ from solver_common.arrays import Array
 from . import models
 from .body.mesh_cache import mesh_from_cache
 from .body.surface_measures import Surface, deformations, relative_l2, weighted_norm
-from .measures.case import Run
+from .measures.case import CaseResult, Run
 from .measures.metrics import DEFORMATION, VECTOR, full_load_step
 from .measures.uncertainty import reference_bar
 from .scene.result import ModelResult
@@ -29,7 +29,7 @@ from .scene.scene import Scene, build_scene
 from .study.errors import InputError
 from .study.registry import PARAMETERS, is_surface
 from .verdict.formatting import NOT_MEASURED, NOTHING, percent, quantity
-from .work.plan import Plan, PlannedCase, needs_volume
+from .work.plan import Plan, PlannedCase
 
 WIDEST = 1e5  # of a ratio of two moduli over that of their rules, and of a modulus over its rule
 _STEP = 1e-4  # of a logarithm, for slopes
@@ -51,7 +51,6 @@ class Sample:
     ----------
     reference : (N, 3) [m]
     bars : metric -> the reference's own error, NaN where not measured
-    place : of the load among the study's, from 0
     bodies : model -> key of its set-up; none where all loads share one
     """
 
@@ -59,7 +58,6 @@ class Sample:
     scene: Scene
     reference: Array
     bars: Mapping[str, float]
-    place: int
     bodies: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
@@ -96,11 +94,6 @@ def check_fit(plan: Plan) -> None:
         to_fit(name, study.vdm_parameters(), study.model_parameters())
 
 
-def loads_of(plan: Plan) -> dict[str, PlannedCase]:
-    """The loads of a study by their case's hash, in the study's order, each once."""
-    return {case.hash: case for case in plan.cases}
-
-
 def count_of_training(plan: Plan) -> int:
     """How many of a study's loads train, the first ones; by default half of them.
 
@@ -109,7 +102,7 @@ def count_of_training(plan: Plan) -> int:
     CalibrationError
         nothing would be left on one side.
     """
-    loads, asked = len(loads_of(plan)), plan.study.calibration
+    loads, asked = len(plan.in_order), plan.study.calibration
     count = (loads + 1) // 2 if asked is None or asked.training is None else asked.training
     if not 0 < count < loads:
         raise CalibrationError(
@@ -119,55 +112,43 @@ def count_of_training(plan: Plan) -> int:
     return count
 
 
-def samples_of(plan: Plan, run: Run) -> tuple[tuple[Sample, ...], tuple[Sample, ...]]:
-    """(training, held out): the finished loads of a run.
+def body(plan: Plan, run: Run) -> Body:
+    """A study's finished loads.
 
     A load is on its side wherever others failed, so that none trains that was to be held out.
 
     Raises
     ------
     CalibrationError
-        no finished load with a reference on one side.
-    """
-    planned, count = loads_of(plan), count_of_training(plan)
-    places = {key: place for place, key in enumerate(planned)}
-    samples = []
-    for case in run.cases:
-        if case.reference is None or case.reached != case.full_load:
-            continue
-        found = planned[case.hash]
-        mesh = mesh_from_cache(found.study.geometry, plan.cache, volume=needs_volume(found.study))
-        step = full_load_step(case.load_factors)
-        samples.append(
-            Sample(
-                case.label,
-                dataclasses.replace(build_scene(found.study, mesh), load_factors=case.load_factors[[step]]),
-                case.models[case.reference].displacement[step],
-                {metric: reference_bar(case.reference_error, metric) for metric in (VECTOR, DEFORMATION)},
-                places[case.hash],
-                {want.name: want.body for want in found.wanted if not want.level},
-            )
-        )
-    training = tuple(sample for sample in samples if sample.place < count)
-    held_out = tuple(sample for sample in samples if sample.place >= count)
-    for side, name in ((training, f"first {count} loads, which train,"), (held_out, "loads held out")):
-        if not side:
-            raise CalibrationError(f"none of the {name} is finished: put right what failed, or sweep others")
-    return training, held_out
-
-
-def body(plan: Plan, run: Run) -> Body:
-    """A study's finished loads.
-
-    Raises
-    ------
-    CalibrationError
-        see `check` and `samples_of`.
+        see `check`; no finished load with a reference on one side.
     """
     check(plan)
-    study = plan.study
-    models = tuple(filter(is_surface, study.study.models))
-    return Body(study.study.name, models, *samples_of(plan, run))
+    count = count_of_training(plan)
+    finished = {
+        case.hash: case for case in run.cases if case.reference is not None and case.reached == case.full_load
+    }
+    sides = []
+    for loads, name in (
+        (plan.in_order[:count], f"first {count} loads, which train,"),
+        (plan.in_order[count:], "loads held out"),
+    ):
+        sides.append(tuple(_sample(plan, one, finished[one.hash]) for one in loads if one.hash in finished))
+        if not sides[-1]:
+            raise CalibrationError(f"none of the {name} is finished: put right what failed, or sweep others")
+    about = plan.study.study
+    return Body(about.name, tuple(filter(is_surface, about.models)), *sides)
+
+
+def _sample(plan: Plan, planned: PlannedCase, case: CaseResult) -> Sample:
+    mesh = mesh_from_cache(planned.study.geometry, plan.cache, volume=plan.meshes[planned.mesh].volume)
+    step = full_load_step(case.load_factors)
+    return Sample(
+        case.label,
+        dataclasses.replace(build_scene(planned.study, mesh), load_factors=case.load_factors[[step]]),
+        case.models[str(case.reference)].displacement[step],
+        {metric: reference_bar(case.reference_error, metric) for metric in (VECTOR, DEFORMATION)},
+        {want.name: want.body for want in planned.wanted if not want.level},
+    )
 
 
 # --- One model on some loads ---

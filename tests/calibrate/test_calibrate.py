@@ -25,11 +25,11 @@ from vdmbench.calibrate import (
     Sample,
     Trial,
     as_toml,
+    body,
     calibrate,
     fit,
     least_error,
     least_squares_of_moduli,
-    samples_of,
     table,
 )
 from vdmbench.measures.case import Run
@@ -85,9 +85,8 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> list[Sample]:
             build_scene(case.study, mesh),
             np.zeros((len(mesh.surface_nodes), 3)),
             NOWHERE,
-            place,
         )
-        for place, case in enumerate(cases)
+        for case in cases
     ]
 
 
@@ -109,9 +108,9 @@ def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: lis
         )
         for s in known
     ]
-    body = Body("soft", ("vdm-vector",), tuple(known[:2]), tuple(known[2:]))
+    soft = Body("soft", ("vdm-vector",), tuple(known[:2]), tuple(known[2:]))
     other = Body("stiff", ("vdm-vector", "vdm-paper"), tuple(stiff[:2]), tuple(stiff[2:]))
-    (entry,) = calibrate(body, [other])
+    (entry,) = calibrate(soft, [other])
     assert_allclose(entry.transfer["stiff"].vector, 0.0, rtol=0, atol=1e-9)
     (row,) = table([entry])
     assert row["times its rule"] == "1.3"
@@ -119,7 +118,7 @@ def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: lis
     assert row["on stiff"] != "–"
     # a body that has no such model leaves its place in the table empty
     lacking = Body("else", ("vdm-paper",), tuple(stiff[:2]), tuple(stiff[2:]))
-    both = Body("soft", ("vdm-vector", "vdm-paper"), body.training, body.held_out)
+    both = Body("soft", ("vdm-vector", "vdm-paper"), soft.training, soft.held_out)
     rows = table(calibrate(both, [lacking]))
     assert [list(row) for row in rows] == [list(rows[0])] * 2
     assert rows[0]["on else"] == "–" != rows[1]["on else"]
@@ -202,7 +201,8 @@ def test_a_history_that_does_not_end_at_factor_one_gives_the_same_fit(tmp_path: 
         text = STUDY.replace('"fem-linear"', '"vdm-consistent"').replace('"fit"', f'"{name}"')
         (tmp_path / name).mkdir()
         run, plan = finished(f"{text}[load]\nfactors = {history}\n", tmp_path / name)
-        fits.append(fit("vdm-vector", *samples_of(plan, run)))
+        found = body(plan, run)
+        fits.append(fit("vdm-vector", found.training, found.held_out))
     for other in fits[1:]:
         # all models are linear: the same body under more or less of the same load
         assert_allclose(
@@ -305,8 +305,8 @@ def test_a_load_has_the_bars_of_both_measures(tmp_path: Path) -> None:
         dataclasses.replace(case, reference_error={f"gci:{VECTOR}": 0.01 * k, f"gci:{DEFORMATION}": 0.1 * k})
         for k, case in enumerate(run.cases)
     ]
-    sides = samples_of(plan, dataclasses.replace(run, cases=measured))
-    bars = [sample.bars for each in sides for sample in each]
+    found = body(plan, dataclasses.replace(run, cases=measured))
+    bars = [sample.bars for sample in (*found.training, *found.held_out)]
     assert bars == [{VECTOR: 0.01 * k, DEFORMATION: 0.1 * k} for k in range(4)]
 
 
