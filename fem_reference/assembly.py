@@ -1,9 +1,6 @@
-"""Linear operators on affine tetrahedra: the two dear ones by matrix products, the rest by scikit-fem.
+"""Sparsity patterns that all blocks of a mesh share, scikit-fem's tables of an element, and its simple operators.
 
-Method: on an affine tetrahedron the gradient of a shape function is the constant barycentric gradients times a
-table of reference values. One matrix product with a constant table therefore gives every element block, and all
-blocks share one scalar sparsity pattern. Order: exact, the integrands are of degree 2. Source: scikit-fem's element
-tables; tests hold solutions to those of scikit-fem's forms at 1e-10.
+Method: Galerkin. Order: exact, the integrands are of degree 2. Source: scikit-fem's forms and element tables.
 """
 
 from __future__ import annotations
@@ -18,8 +15,6 @@ from skfem import Basis, BilinearForm, ElementTetP1, ElementTetP2, LinearForm
 
 from fem_reference.mesh import TetMesh
 from solver_common.arrays import Array, Index
-
-_CHUNK = 20_000  # elements per pass: bounds the temporary arrays
 
 
 def tetrahedron_quadrature() -> tuple[Array, Array]:
@@ -123,68 +118,6 @@ def coupling_pattern(mesh: TetMesh, pattern: Pattern) -> Pattern:
     indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
     columns = (entries % mesh.n_nodes).astype(np.int32)
     return Pattern(indptr, columns, place.reshape(m, 4 * width), mesh.n_nodes)
-
-
-def elasticity_blocks(
-    mesh: TetMesh,
-    pattern: Pattern,
-    divergence: float,
-    fibres: Array | None = None,
-    stiffness: Array | None = None,
-) -> Array:
-    """(pattern.size, 3, 3) blocks of `2 eps(u) : eps(v) + divergence * div u div v`, integrated [m].
-
-    With `divergence` = -2/3 this is the deviatoric form of the mixed element, with lambda / mu Hooke's law, both
-    per unit shear modulus. `fibres` is a symmetric (3, 3) M that adds `(M : eps(u)) (M : eps(v))`. All of it times
-    `stiffness`, an (m,) factor of each tetrahedron.
-    """
-    sizes = mesh.volumes if stiffness is None else mesh.volumes * stiffness
-    width = mesh.element_nodes.shape[1]
-    barycentric, weights = tetrahedron_quadrature()
-    grads = reference_gradients(mesh.order, barycentric)
-    table = np.einsum("q,qia,qjb->abij", weights, grads, grads).reshape(9, width * width)
-    size = pattern.size
-    products = {(i, j): np.zeros(size) for i in range(3) for j in range(i, 3)}
-    for part in chunks(len(mesh.volumes), _CHUNK):
-        g = mesh.barycentric_gradients[part]
-        scaled = g * sizes[part, None, None]
-        place = pattern.place[part].ravel()
-        for (i, j), total in products.items():
-            metric = (scaled[:, :, None, i] * g[:, None, :, j]).reshape(-1, 9)
-            total += np.bincount(place, weights=(metric @ table).ravel(), minlength=size)
-    blocks = np.empty((size, 3, 3))
-    laplacian = products[0, 0] + products[1, 1] + products[2, 2]
-    for (i, j), product in products.items():
-        # `product` holds the integrals of d_i phi_a d_j phi_b for node pairs (a, b), `mirrored` those for (b, a).
-        if i == j:
-            blocks[:, i, i] = laplacian + (1.0 + divergence) * product
-        else:
-            mirrored = product[pattern.mirror]
-            blocks[:, i, j] = mirrored + divergence * product
-            blocks[:, j, i] = product + divergence * mirrored
-    if fibres is not None:
-        for (i, j), product in products.items():
-            blocks += product[:, None, None] * np.outer(fibres[:, i], fibres[:, j])
-            if i != j:
-                blocks += product[pattern.mirror, None, None] * np.outer(fibres[:, j], fibres[:, i])
-    return blocks
-
-
-def divergence_blocks(mesh: TetMesh, coupling: Pattern) -> Array:
-    """(coupling.size, 1, 3) blocks of the integral of `q div u` over P1 pressures q and displacements [m^2]."""
-    width = mesh.element_nodes.shape[1]
-    barycentric, weights = tetrahedron_quadrature()
-    grads = reference_gradients(mesh.order, barycentric)
-    table = np.einsum("q,qa,qic->cai", weights, barycentric, grads).reshape(3, 4 * width)
-    size = coupling.size
-    blocks = np.zeros((size, 1, 3))
-    for part in chunks(len(mesh.volumes), _CHUNK):
-        scaled = mesh.barycentric_gradients[part] * mesh.volumes[part, None, None]
-        place = coupling.place[part].ravel()
-        for k in range(3):
-            values = (scaled[:, :, k] @ table).ravel()
-            blocks[:, 0, k] += np.bincount(place, weights=values, minlength=size)
-    return blocks
 
 
 def mass_matrix(mesh: TetMesh, weights: Array | None = None) -> csr_array:

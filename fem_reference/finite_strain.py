@@ -35,7 +35,7 @@ from fem_reference.loads import (
     nodal_forces,
     prescribed_nodes,
 )
-from fem_reference.materials import make_law
+from fem_reference.materials import NeoHookean, make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.newton import Newton, ScaledLoad, State, Substep
@@ -144,6 +144,7 @@ class FiniteStrainProblem:
             self.mesh,
             self.held,
             mixed=True,
+            law=NeoHookean(1.0),
             poisson_ratio=self.poisson_ratio,
             pattern=pattern,
             relative_stiffness=moduli.stiffness,

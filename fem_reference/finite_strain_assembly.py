@@ -94,8 +94,11 @@ class ElementAssembly:
             )
         return Forces(nodal, volume, least)
 
-    def tangent(self, displacement: Array, pressure: Array) -> tuple[Array, Array]:
+    def tangent(self, displacement: Array, pressure: Array, lame: float = 0.0) -> tuple[Array, Array]:
         """Derivatives of the nodal forces and of the volumes with respect to the displacement.
+
+        `lame` is lambda over the shear modulus where no pressure stands for it, as in a displacement element: with
+        it the tangent at rest is Hooke's law.
 
         Returns
         -------
@@ -119,7 +122,7 @@ class ElementAssembly:
                 k.inverse,
                 weights[..., None, None] * tangent.metric,
                 weights * tangent.crossed,
-                weights * tangent.dilational,
+                weights * (tangent.dilational + lame),
                 (self._weights[part] * (1.0 + k.dilation))[..., None] * self._barycentric,
             )
             if tangent.elasticity is not None:

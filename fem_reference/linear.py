@@ -31,7 +31,7 @@ from fem_reference.loads import (
     nodal_forces,
     prescribed_nodes,
 )
-from fem_reference.materials import TransverselyIsotropic, make_law
+from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.outputs import OUTPUTS, mean_pressure, strain_outputs
@@ -149,10 +149,8 @@ class LinearProblem:
         self.contrast = float(contrast)
         material = "neo-hookean" if fibre_direction is None else "transversely-isotropic"
         law = make_law(material, 2.0 * (1.0 + self.poisson_ratio), 1.0, fibre_direction, self.contrast)
-        fibres = None
-        if isinstance(law, TransverselyIsotropic):
+        if law.fibre is not None:
             check_fibres(moduli)
-            fibres = np.sqrt(law.fibre_modulus) * np.outer(law.fibre, law.fibre)
         springs = make_springs(self.mesh, elastic_supports, self.shear_modulus)
         self.held = held_nodes(self.mesh, np.asarray(held), springs)
         self.supported: NDArray[np.bool_] = np.asarray(self.held.any(axis=1))
@@ -163,7 +161,7 @@ class LinearProblem:
             self.held,
             mixed=mixed,
             poisson_ratio=self.poisson_ratio,
-            fibres=fibres,
+            law=law,
             relative_stiffness=moduli.stiffness,
             poisson_ratios=moduli.poisson_ratios,
             springs=springs,

@@ -112,6 +112,11 @@ class TransverselyIsotropic:
         """(3,) a."""
         return np.array(self.direction)
 
+    @property
+    def small_strain(self) -> Array:
+        """(3, 3) M: the fibres add M (M : eps) to the stress at small strain."""
+        return np.sqrt(self.fibre_modulus) * np.outer(self.fibre, self.fibre)
+
     def energy(self, k: Kinematics) -> Array:
         """(...,) W; see `Law`."""
         return self.matrix.energy(k) + 0.125 * self.fibre_modulus * self._stretch(k) ** 2

@@ -22,14 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import block_array, bsr_array, bsr_matrix, csc_array, csr_array
 
-from fem_reference.assembly import (
-    Pattern,
-    coupling_pattern,
-    divergence_blocks,
-    elasticity_blocks,
-    mass_matrix,
-    scalar_pattern,
-)
+from fem_reference.assembly import Pattern, coupling_pattern, mass_matrix, scalar_pattern
+from fem_reference.finite_strain_assembly import ElementAssembly
+from fem_reference.kinematics import Law
+from fem_reference.materials import TransverselyIsotropic
 from fem_reference.mesh import TetMesh
 from fem_reference.springs import Springs
 from solver_common.arrays import Array, Index, Mask
@@ -162,7 +158,7 @@ def build_system(
     *,
     mixed: bool,
     poisson_ratio: float,
-    fibres: Array | None = None,
+    law: Law,
     pattern: Pattern | None = None,
     relative_stiffness: Array | None = None,
     poisson_ratios: Array | None = None,
@@ -176,7 +172,7 @@ def build_system(
     held : (n_nodes, 3) components whose displacement is given
     mixed : pressure field or displacement only
     poisson_ratio : in (-1, 0.5], below 0.5 for a displacement element
-    fibres : (3, 3) M, None for an isotropic body
+    law : in units of the shear modulus, of which this is the small-strain limit
     pattern : that of the mesh where the caller keeps it; None makes one that is let go with this call
     relative_stiffness : (m,) g, None where it is one everywhere
     poisson_ratios : (m,) in (0, 0.5] where they vary; `poisson_ratio` is then that of the scaling
@@ -187,10 +183,11 @@ def build_system(
     SolverError
         If an incompressible body is held so that its pressure has no datum.
     """
-    length = mesh.mean_edge
     pattern = pattern or scalar_pattern(mesh)
     lame = 0.0 if mixed else 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
-    blocks = elasticity_blocks(mesh, pattern, lame, fibres, relative_stiffness) / length
+    coupling = coupling_pattern(mesh, pattern)
+    assembly = ElementAssembly(mesh, pattern, coupling, law, relative_stiffness)
+    blocks, volumes = assembly.tangent(np.zeros((mesh.n_nodes, 3)), np.zeros(mesh.n_pressures), lame)
     if springs is not None:
         springs.add_to(blocks, mesh, pattern)
     kept = np.flatnonzero(~held.all(axis=1))
@@ -210,7 +207,7 @@ def build_system(
         kept=kept,
         stiffness=stiffness,
         divergence_coefficient=lame,
-        fibres=fibres,
+        fibres=law.small_strain if isinstance(law, TransverselyIsotropic) else None,
         relative_stiffness=relative_stiffness,
         springs=springs,
         support=support,
@@ -220,9 +217,11 @@ def build_system(
         return displacement
 
     scale = float(np.sqrt(2.0 * abs(poisson_ratio)))
-    inner_divergence, support_divergence = _divergence(mesh, pattern, held, kept, support)
-    inner_divergence.data *= scale / length**2
-    support_divergence.data /= length**2
+    inner = coupling.numbered[:, kept]
+    data = scale * volumes[inner.data]
+    data[held[kept][inner.indices][:, None, :]] = 0.0
+    divergence = csr_array(_bsr(data, inner, (mesh.n_pressures, 3 * len(kept))))
+    outer = coupling.numbered[:, support]
     # A pressure drives a gradient field, on which 2 g eps : eps is twice g (div u)^2: a^2 / 2 = |nu|.
     gain: float | Array = abs(poisson_ratio)
     compressibility: float | Array = (1.0 - 2.0 * poisson_ratio) * (-1.0 if poisson_ratio < 0.0 else 1.0)
@@ -233,17 +232,17 @@ def build_system(
     compliance, mass, schur_factor = _pressure_matrices(mesh, compressibility, compressibility + gain)
     system = replace(
         displacement,
-        divergence=inner_divergence,
-        gradient=csr_array(inner_divergence.T),
+        divergence=divergence,
+        gradient=csr_array(divergence.T),
         mass=mass,
         compliance=compliance,
         compressibility=float(np.min(compressibility)),
         pressure_scale=scale,
         schur_factor=schur_factor,
-        support_divergence=support_divergence,
+        support_divergence=csr_array(_bsr(volumes[outer.data], outer, (mesh.n_pressures, 3 * len(support)))),
     )
     if not np.any(compressibility):
-        _check_pressure_datum(mesh, inner_divergence)
+        _check_pressure_datum(mesh, divergence)
     return system
 
 
@@ -260,23 +259,6 @@ def _pressure_matrices(
     mass = mass_matrix(mesh, schur / (factor * unit))
     weights = np.asarray(compressibility / unit)
     return (mass_matrix(mesh, weights) if weights.any() else None), mass, factor
-
-
-def _divergence(
-    mesh: TetMesh, pattern: Pattern, held: Mask, kept: Index, support: Index
-) -> tuple[csr_array, csr_array]:
-    coupling = coupling_pattern(mesh, pattern)
-    blocks = divergence_blocks(mesh, coupling)
-    numbered = coupling.numbered
-    inner = numbered[:, kept]
-    data = blocks[inner.data]
-    data[held[kept][inner.indices][:, None, :]] = 0.0
-    outer = numbered[:, support]
-    n = mesh.n_pressures
-    return (
-        csr_array(_bsr(data, inner, (n, 3 * len(kept)))),
-        csr_array(_bsr(blocks[outer.data], outer, (n, 3 * len(support)))),
-    )
 
 
 def _bsr(blocks: Array, pattern: csr_array, shape: tuple[int, int]) -> bsr_array:

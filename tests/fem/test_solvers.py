@@ -20,6 +20,7 @@ from fem_reference.linear_algebra import (
     choose_solver,
 )
 from fem_reference.loads import held_nodes
+from fem_reference.materials import NeoHookean
 from fem_reference.mesh import TetMesh
 from fem_reference.multigrid import _galerkin, _prolongation
 from fem_reference.solution import SolverError
@@ -31,7 +32,7 @@ def _system(n: int = 3, poisson_ratio: float = 0.4999, *, order: int = 2, mixed:
     b = cube(n, distort=0.2)
     mesh = TetMesh(*b.arrays, order=order)
     held = held_nodes(mesh, b.surface[:, 2] < 1e-12)
-    return build_system(mesh, held, mixed=mixed, poisson_ratio=poisson_ratio)
+    return build_system(mesh, held, mixed=mixed, law=NeoHookean(1.0), poisson_ratio=poisson_ratio)
 
 
 def _exact(system: LinearSystem, rhs: np.ndarray) -> np.ndarray:
