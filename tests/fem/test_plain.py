@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from fem_reference import assembly
+from fem_reference import finite_strain_assembly
 from fem_reference.finite_strain import FiniteStrainProblem
 from fem_reference.forces import traction_forces
 from fem_reference.linear import LinearProblem
@@ -33,7 +33,7 @@ def rollers(b: Body) -> NDArray[np.bool_]:
 def test_linear_equals_the_fast_path(
     support, nu: float, fibres: dict[str, object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(assembly, "_CHUNK", 20)  # several passes on a small mesh
+    monkeypatch.setattr(finite_strain_assembly, "_CHUNK", 20)  # several passes on a small mesh
     b = cube(2, distort=0.25)
     rng = np.random.default_rng(0)
     pressure = rng.uniform(0.0, 200.0, (len(b.triangles), 6))  # its own value at every point of every facet
