@@ -182,45 +182,30 @@ def _check_constraints(study: Study) -> Iterator[Finding]:
 
 def _check_loads(study: Study, extent: float | None) -> Iterator[Finding]:
     """Loads that no body of this stiffness and size [m] can mean: a unit has been mixed up."""
-    modulus = study.tissue.youngs_modulus
+    modulus, gravity = 10 * study.tissue.youngs_modulus, study.gravity
+    most = {"Pa": (modulus, "ten times Young's modulus")}
+    if extent is not None:
+        most["N"] = modulus * extent**2, f"ten times Young's modulus over a body {extent:g} m across"
+        most["m"] = extent, "the body's extent"
     factor = max(map(abs, study.load.factors))
-    for place, constraint in enumerate(study.constraints):
-        for name in constraint.loads:
-            value = getattr(constraint, name)
-            if value is not None:
-                size = factor * math.hypot(*(value if isinstance(value, tuple) else (value,)))
-                if told := _mixed_up(size, unit_of(constraint, name), modulus, extent):
-                    yield ("constraints", place, name), told
-    if study.geometry.cavities == "fluid" and study.gravity is not None:
-        yield (
-            ("geometry", "cavities"),
-            "no model knows the fluid's weight; leave gravity out, or take empty ones",
-        )
-    if extent is not None and study.gravity is not None:
-        weight = study.tissue.density * math.hypot(*study.gravity.acceleration) * extent
-        if weight > 10 * modulus:
-            yield (
-                ("gravity", "acceleration"),
-                f"the weight of a body {extent:g} m across is a pressure of {weight:g} Pa, more than ten times "
-                f"Young's modulus ({modulus:g} Pa): a mixed-up unit?",
-            )
-
-
-def _mixed_up(size: float, unit: str, modulus: float, extent: float | None) -> str:
-    """What is wrong with a load of this size on a body of this stiffness [Pa] and extent [m], if anything."""
-    if unit == "Pa" and size > 10 * modulus:
-        return f"{size:g} Pa is more than ten times Young's modulus ({modulus:g} Pa): a mixed-up unit?"
-    if unit == "N" and extent is not None and size > 10 * modulus * extent**2:
-        return (
-            f"{size:g} N on a body {extent:g} m across is a pressure of more than ten times Young's "
-            f"modulus ({modulus:g} Pa): a mixed-up unit?"
-        )
-    if unit == "m" and extent is not None and size > extent:
-        return (
-            f"{size:g} m is more than the body's extent ({extent:g} m): a mixed-up unit? "
-            'A bare number is in metres; write "5 mm"'
-        )
-    return ""
+    sizes: list[tuple[Loc, float, str]] = []
+    for place, part in enumerate(study.constraints):
+        for name in part.loads:
+            value = getattr(part, name) or 0.0
+            size = factor * math.hypot(*(value if isinstance(value, tuple) else (value,)))
+            sizes.append((("constraints", place, name), size, unit_of(part, name)))
+    if gravity is not None and extent is not None:
+        weight = study.tissue.density * math.hypot(*gravity.acceleration) * extent
+        sizes.append((("gravity", "acceleration"), weight, "Pa"))
+    for loc, size, unit in sizes:
+        limit, told = most.get(unit, (math.inf, ""))
+        if size > limit:
+            what = "the weight" if loc[0] == "gravity" else "it"
+            text = f"{what} comes to {size:g} {unit}, more than {told} ({limit:g} {unit})"
+            yield loc, f"{text}: a mixed-up unit? Bare numbers are in SI units"
+    if study.geometry.cavities == "fluid" and gravity is not None:
+        text = "no model knows the fluid's weight; leave gravity out, or take empty ones"
+        yield ("geometry", "cavities"), text
 
 
 # --- regions and inclusions ---
