@@ -255,9 +255,7 @@ class Traction(_Dead):
     """pulled or sheared by a traction of any direction"""
 
     kind: Literal["traction"]
-    resultant: Force = Key(
-        'dead force at load factor 1, spread evenly over its facets, such as ["0.1 N", "0 N", "0 N"]'
-    )
+    resultant: Force = Key('dead force at load factor 1, over its facets, such as ["0.1 N", "0 N", "0 N"]')
 
     def act(self, on: Placed) -> Acts:
         return Acts(dead=(on.triangles[on.facets()], self.resultant))
@@ -269,9 +267,7 @@ class Elastic(Constraint):
     kind: Literal["elastic"]
     supports = True
     stiffness: Annotated[float, SI("Pa/m"), positive] = Key('spring constant per area, such as "1 kPa/mm"')
-    direction: Literal["normal", "full"] = Key(
-        "what the springs resist: motion along the normal, or any", "normal"
-    )
+    direction: Literal["normal", "full"] = Key("what the springs resist: normal motion, or any", "normal")
 
     @property
     def extra(self) -> str:
@@ -286,18 +282,14 @@ class Indenter(Constraint):
 
     kind: Literal["indenter"]
     loads = ("depth",)
-    depth: Length = Key(
-        'way of the indenter at load factor 1, from where it first touches the region, such as "5 mm"'
-    )
+    depth: Length = Key('way of the indenter at load factor 1, from its first touch, such as "5 mm"')
     shape: Literal["sphere", "flat-punch", "capsule"] = Key(
         "of the indenter, whose axis goes through the middle of its region: sphere, flat-punch or capsule"
     )
     radius: Length = Key('of the indenter, such as "10 mm"')
     length: Length | None = Key("of a capsule, between the middles of its ends", None)
     along: Direction | None = Key("axis of a capsule, across the push", None)
-    push: Direction | None = Key(
-        "direction of the push, against the region's mean normal where left out", None
-    )
+    push: Direction | None = Key("direction of the push; left out: against the region's mean normal", None)
 
     @property
     def extra(self) -> str:

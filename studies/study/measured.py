@@ -210,6 +210,7 @@ def _number(cell: str, unit: str, si: str) -> float:
 MOST_TABLES = 50
 _SAME_LOAD = 1e-9  # of the largest load factor
 _Deviation = Annotated[float, SI("m"), not_negative]
+_ForceDeviation = Annotated[float, SI("N"), not_negative]
 
 
 class Displacement(Table):
@@ -232,14 +233,10 @@ class MeasuredPoint(Displacement):
     x: Coordinate = Key("its place at rest, on the body's surface")
     y: Coordinate = Key("its place at rest")
     z: Coordinate = Key("its place at rest")
-    uncertainty: _Deviation | None = Key(
-        "standard uncertainty of each component, instead of the table's", None
-    )
+    uncertainty: _Deviation | None = Key("standard uncertainty of a component, instead of the table's", None)
     load_factor: Plain | None = Key("load step, instead of the table's", None)
     line: int | None = Key("its line in the CSV file, for messages", None, ge=1)
-    others: dict[str, Displacement] = Key(
-        "what other programs computed there, by their name", {}, max_length=10
-    )
+    others: dict[str, Displacement] = Key("what other programs computed there, by name", {}, max_length=10)
 
 
 class MeasuredForce(Table):
@@ -250,9 +247,7 @@ class MeasuredForce(Table):
         "its way from where it first touches; of what moves a region the movement"
     )
     force: Annotated[float, SI("N")] = Key("resultant, in the direction of the depth")
-    uncertainty: Annotated[float, SI("N"), not_negative] | None = Key(
-        "standard uncertainty, instead of the table's", None
-    )
+    uncertainty: _ForceDeviation | None = Key("standard uncertainty, instead of the table's", None)
     line: int | None = Key("its line in the CSV file, for messages", None, ge=1)
 
 
@@ -267,19 +262,15 @@ class Measured(Table):
         "surface `deformed_x`, `deformed_y`, `deformed_z`; of force against depth `depth`, `force`, `uncertainty`",
         None,
     )
-    source: Annotated[str, AfterValidator(one_line)] = Key(
-        "who measured, in one line for the report", "", max_length=500
-    )
+    source: Annotated[str, AfterValidator(one_line)] = Key("who measured, in one line", "", max_length=500)
     uncertainty: _Deviation | None = Key(
-        "standard uncertainty u_D of each component, where a point has none of its own", None
+        "standard uncertainty u_D of a component, of points without their own", None
     )
-    load_factor: Plain | None = Key(
-        "load factor of [load] that the values belong to; the largest where left out", None
-    )
+    load_factor: Plain | None = Key("load factor of the values; the largest where left out", None)
     points: tuple[MeasuredPoint, ...] = Key("the points themselves, instead of a path", (), strict=False)
     surface: tuple[Position, ...] = Key("places on the deformed surface, instead of points", (), strict=False)
     forces: tuple[MeasuredForce, ...] = Key("force against depth, instead of points", (), strict=False)
-    force_uncertainty: Annotated[float, SI("N"), not_negative] | None = Key(
+    force_uncertainty: _ForceDeviation | None = Key(
         "standard uncertainty u_D of the forces, where one has none of its own", None
     )
     constraint: str | None = Key(

@@ -70,14 +70,14 @@ PoissonRatio = Annotated[
     number_check(lambda v: -1 < v <= 0.5, "must be above -1 and at most 0.5 (incompressible)"),
 ]
 
+Foundation = Annotated[float, SI("Pa/m"), not_negative]
+
 
 class Tissue(Table):
     """[tissue]"""
 
     youngs_modulus: YoungsModulus = Key("Young's modulus")
-    poisson_ratio: PoissonRatio = Key(
-        "Poisson's ratio, up to and including 0.5; surface models keep the volume"
-    )
+    poisson_ratio: PoissonRatio = Key("Poisson's ratio, at most 0.5; surface models keep the volume")
     density: Annotated[
         float,
         SI("kg/m^3"),
@@ -167,9 +167,7 @@ class StudyInfo(Table):
         strict=False,
         max_length=MOST_NAMES,
     )
-    max_cases: Annotated[int, Enters.NOTHING] = Key(
-        "refuse a sweep of more cases than this", 1000, ge=1, le=100_000
-    )
+    max_cases: Annotated[int, Enters.NOTHING] = Key("refuse a sweep of more cases", 1000, ge=1, le=100_000)
 
 
 class VdmTable(Table):
@@ -193,9 +191,7 @@ class VdmTable(Table):
         " left out: tissue, of the nonlinear solver fluid",
         None,
     )
-    foundation: Annotated[float, SI("Pa/m"), not_negative] | None = Key(
-        "k, stiffness against normal displacement per area", None
-    )
+    foundation: Foundation | None = Key("k, stiffness against normal displacement per area", None)
     surface_tension: LineForce | None = Key("T, tension of the skin; in the vector form its mean", None)
     stretch_stiffness: LineForce | None = Key("E_s, stiffness of edges against stretch", None)
     rotation: Rotation | None = Key("rotation that costs the skin no energy", None)
@@ -292,9 +288,7 @@ class Places(Table):
 class Region(Places):
     """[regions.NAME]: the nodes for which all of its keys hold"""
 
-    cavity: bool | None = Key(
-        "true: nodes of the walls of cavities; else all but a group is on the outer surface", None
-    )
+    cavity: bool | None = Key("true: walls of cavities; else all but a group is on the outer surface", None)
 
 
 class Load(Table):
@@ -428,9 +422,7 @@ class Acceptance(Table):
 
     displacement_error: Share = Key('most displacement error at full load, such as "5 %" or 0.05', 0.10)
     deformation_error: Share = Key("most deformation error, the error in the change of shape", 0.10)
-    largest_difference: Length | None = Key(
-        "most difference in displacement at any node; none where left out", None
-    )
+    largest_difference: Length | None = Key("most difference at any node; none where left out", None)
     frame_time: Time | None = Key("most time that a frame may take; none where left out", None)
 
 
@@ -455,9 +447,7 @@ class Study(Table):
     sweep: Annotated[Sweep, Enters.NOTHING] = Key("what is varied", Sweep())
     inputs: Annotated[Inputs | None, Enters.CASE] = Key("how well numbers are known", None)
     limits: Annotated[Limits | None, Enters.CASE] = Key("small-strain limits", None)
-    calibration: Annotated[Calibration | None, Enters.NOTHING] = Key(
-        "how the [vdm] parameters are fitted", None
-    )
+    calibration: Annotated[Calibration | None, Enters.NOTHING] = Key("how [vdm] is fitted", None)
     uncertainty: Annotated[Uncertainty | None, Enters.CASE] = Key("the reference's own error", None)
     acceptance: Annotated[Acceptance, Enters.NOTHING] = Key("how far off a model may be", Acceptance())
     measured: Annotated[tuple[Measured, ...] | None, Enters.CASE] = Key(
