@@ -86,8 +86,9 @@ class Results:
         title = escape(self.data.study.study.title)
         failed = "".join(f"<p>failed: {escape(line)}</p>" for line in self.failed)
         words = told(self.verdicts)
-        lines = [f"<b>{escape(row.title)}: {escape(row.word)}.</b> {escape(row.text)}" for row in words.rows]
-        lines += map(escape, (*words.notes, *words.instead))
+        rows_told = [{key: escape(str(value)) for key, value in row.items()} for row in words["rows"]]
+        lines = [f"<b>{row['title']}: {row['word']}.</b> {row['text']}" for row in rows_told]
+        lines += map(escape, (*words["notes"], *words["instead"]))
         answers = "".join(f"<p>{line}</p>" for line in lines)
         return (
             f"<h4>{title}</h4>{answers}{rows.to_html(index=False, border=0)}{failed}"

@@ -66,8 +66,8 @@ def print_answers(told: Mapping[str, Any]) -> None:
     for note in told["notes"]:
         print(folded(note))
     instead = [("What to take instead?", told["instead"])] if told["instead"] else []
-    further = [(a["question"], a["sentences"]) for a in told["further"] if a["question"] in ON_TERMINAL]
-    for question, sentences in [*instead, *further]:
+    further = [(question, told["further"].get(question)) for question in ON_TERMINAL]
+    for question, sentences in [*instead, *filter(lambda answer: answer[1], further)]:
         print(f"\n{question}")
         for sentence in sentences:
             print(folded(sentence, "  "))

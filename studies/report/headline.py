@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict
 from typing import Any
 
 from ..machine import plain
@@ -189,7 +188,7 @@ def summary(run: Run) -> dict[str, Any]:
         "missing": list(run.missing),
         "stopped": [one._asdict() for one in stopped_models(digest)],
         "metrics": headline_metrics(run),
-        "answers": asdict(told(found)),
+        "answers": told(found),
         "table": terminal_rows(digest),  # of the terminal, which JSON does not show
     } | found.as_data()
 

@@ -104,44 +104,24 @@ def page_html(run: Run) -> str:
     """The page as text."""
     digest = digest_of(run)
     sections, found = every_section(digest), verdicts(digest)
-    words, study = told(found), run.study.study
+    words = told(found)
     viewed = any(isinstance(b, Viewer) and b.payload for section in sections for b in section.blocks)
     scripts = _scripts() if viewed else _scripts()[:1]
+    page = _environment().get_template("page.html")
     with np.errstate(all="ignore"):
-        head = {
-            "take": headline.what_to_take(found),
-            "limits": headline.against_limits(found, digest),
-            "scene": scene(digest),
-        }
-    return (
-        _environment()
-        .get_template("page.html")
-        .render(
-            title=study.title,
-            name=study.name,
-            counts=_counts(run),
+        return page.render(
+            run=run,
             told=words,
-            further=[answer for answer in words.further if answer.question not in BESIDE],
+            further={question: said for question, said in words["further"].items() if question not in BESIDE},
             colours={name: digest.colour(name) for name in digest.models},
+            take=headline.what_to_take(found),
+            limits=headline.against_limits(found, digest),
+            scene=scene(digest),
             style=asset("page.css"),
             sections=sections,
             scripts=scripts,
             policy=_policy(scripts),
-            **head,
         )
-    )
-
-
-def _counts(run: Run) -> list[tuple[str, str]]:
-    """(what, tone) of the three numbers of a run."""
-    counts = [(f"{plural(len(run.cases), 'case')} done", "")]
-    if len(run.failed) > run.damaged:
-        counts.append((f"{len(run.failed) - run.damaged} failed", "bad"))
-    if run.damaged:
-        counts.append((f"{run.damaged} damaged", "bad"))
-    if run.missing:
-        counts.append((f"{len(run.missing)} missing", "muted"))
-    return counts
 
 
 # --- the document ---
@@ -175,6 +155,7 @@ def _environment() -> Environment:
     )
     environment.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
     environment.filters["shape"] = shape
+    environment.filters["count"] = plural
     environment.globals["marker_paths"] = MARKER_PATHS
     environment.filters["unbroken"] = unbroken
     return environment

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -31,58 +30,35 @@ BESIDE = (WHY, LOAD)  # what the page has in the table of limits
 ON_TERMINAL = (WHY, MEASURED, LOAD)
 
 
-@dataclass(frozen=True)
-class Row:
-    """The answer for one family: its name in words, the word, the model that decides, its numbers, and one line."""
+def told(verdicts: Verdicts) -> dict[str, Any]:
+    """The verdicts in words, as JSON has them.
 
-    family: str
-    title: str
-    word: str
-    model: str
-    numbers: tuple[str, ...]
-    text: str
-
-
-@dataclass(frozen=True)
-class Answer:
-    """A question of the reader and the sentences that answer it."""
-
-    question: str
-    sentences: Sequence[str]
-
-
-@dataclass(frozen=True)
-class Told:
-    """All that a run says: a row a family, what holds for all rows, what to take instead, and further answers."""
-
-    rows: tuple[Row, ...] = ()
-    notes: tuple[str, ...] = ()
-    instead: tuple[str, ...] = ()
-    further: tuple[Answer, ...] = ()
-
-
-def told(verdicts: Verdicts) -> Told:
-    """The verdicts in words."""
+    Returns
+    -------
+    dict
+        `rows`, one a family: its `title`, its `word`, the `model` that decides, its `numbers`, and one `text`;
+        `notes`, what holds for all rows; `instead`, what to take; `further`, a question -> its answer.
+    """
     judged = [one for one in verdicts.asked if one.model]
     loads = [f"{one.model}: {text}" for one in judged for text in said("reached", one)]
-    found = [
-        Answer(WHY, [f"{one.model}: {text}" for one in judged for text in why_not(one)]),
-        Answer(MEASURED, said("measured", verdicts)),
-        Answer(LOAD, [*loads, *said("small_strain", verdicts)]),
-        Answer(SURE, said("sure", verdicts)),
-    ]
-    return Told(
-        rows=tuple(_row(one, verdicts) for one in verdicts.asked),
-        notes=tuple(said("notes", verdicts, MOST_MOVED, MOST_DRIFT)),
-        instead=tuple(text for one in verdicts.take for text in said("instead", one)),
-        further=tuple(answer for answer in found if answer.sentences),
-    )
+    further = {
+        WHY: [f"{one.model}: {text}" for one in judged for text in why_not(one)],
+        MEASURED: said("measured", verdicts),
+        LOAD: [*loads, *said("small_strain", verdicts)],
+        SURE: said("sure", verdicts),
+    }
+    return {
+        "rows": [_row(one, said("row", one, verdicts)) for one in verdicts.asked],
+        "notes": said("notes", verdicts, MOST_MOVED, MOST_DRIFT),
+        "instead": [text for one in verdicts.take for text in said("instead", one)],
+        "further": {question: answer for question, answer in further.items() if answer},
+    }
 
 
-def _row(one: Verdict, verdicts: Verdicts) -> Row:
-    numbers = tuple(said("row", one, verdicts))
-    line = ": ".join(filter(None, (one.model, "; ".join(numbers))))
-    return Row(one.family, TITLES[Family(one.family)], one.word, one.model, numbers, f"{line}.")
+def _row(one: Verdict, numbers: Sequence[str]) -> dict[str, Any]:
+    text = ": ".join(filter(None, (one.model, "; ".join(numbers))))
+    about = {"family": one.family, "title": TITLES[Family(one.family)], "word": one.word, "model": one.model}
+    return about | {"numbers": numbers, "text": f"{text}."}
 
 
 def why_not(one: Verdict) -> list[str]:

@@ -43,17 +43,17 @@ def test_page_terminal_json_and_notebook_say_the_same(capsys: pytest.CaptureFixt
         family: one.word for family, one in found.items()
     }
     words = told(found)
-    assert len(words.rows) == 2
-    for row, one in zip(words.rows, found.asked, strict=True):
+    assert len(words["rows"]) == 2
+    for row, one in zip(words["rows"], found.asked, strict=True):
         assert one.figures is not None
         number = with_bar(one.figures.value, one.figures.bar)
-        assert f"{row.title}: {row.word}. {row.text}" in terminal
-        assert f"{one.figures.lead} {number}" in row.numbers
-        assert f"{row.title} {row.word} {one.model} {' '.join(row.numbers)}" in page
-        assert row.text in notebook
-    for sentence in words.notes:
+        assert f"{row['title']}: {row['word']}. {row['text']}" in terminal
+        assert f"{one.figures.lead} {number}" in row["numbers"]
+        assert f"{row['title']} {row['word']} {one.model} {' '.join(row['numbers'])}" in page
+        assert row["text"] in notebook
+    for sentence in words["notes"]:
         assert all(flat(sentence) in text for text in (terminal, page, notebook))
-    assert data["answers"]["instead"] == list(words.instead)
+    assert data["answers"]["instead"] == words["instead"]
 
 
 def test_no_line_of_the_terminal_is_wider_than_it(capsys: pytest.CaptureFixture[str]) -> None:

@@ -76,7 +76,7 @@ def test_each_family_has_its_word_and_none_hides_another() -> None:
     assert list(found) == ["vdm-printed", "vdm-derived", "surface-peers", "elements", "engines"]
     assert [one.word for one in found.values()] == ["no", "yes", "yes", "yes", "not judged"]
     assert [one.model for one in found.asked] == ["vdm-paper", "vdm-consistent", "bem", "fem-p2"]
-    assert [row.word for row in told(found).rows] == ["no", "yes", "yes", "yes"]
+    assert [row["word"] for row in told(found)["rows"]] == ["no", "yes", "yes", "yes"]
     assert Digest(run).focus == "vdm-paper"
     assert found.as_data()["verdicts"]["vdm-printed"]["word"] == "no"
 
@@ -145,7 +145,7 @@ def test_a_sweep_is_judged_where_its_reference_is_in_range() -> None:
     assert list(one.states.values()) == ["yes", "yes", "not judged"]
     assert [out.name for out in found.outside] == ["2"]
     assert found.outside[0].moved == pytest.approx(0.1713, rel=1e-3)
-    assert "2 of 3 cases judged" in told(found).notes[0]
+    assert "2 of 3 cases judged" in told(found)["notes"][0]
     all_out = verdicts(Digest(swept({MODEL: 0.01}, load=(8.0,))))
     assert (all_out["vdm-derived"].word, len(all_out.outside)) == ("not judged", 1)
     finite = verdict(swept({MODEL: 0.01}, load=(8.0,), reference="fem"))
@@ -215,7 +215,7 @@ def test_why_nothing_is_judged(run: Run, why: str, said_so: str) -> None:
     found = verdicts(Digest(run))
     assert found.not_judged == why
     assert {one.word for one in found.values()} == {"not judged"}
-    assert told(found).notes[0].startswith(said_so)
+    assert told(found)["notes"][0].startswith(said_so)
 
 
 @pytest.mark.parametrize(("also_fixed", "judged"), [(False, True), (True, False)])
