@@ -18,7 +18,7 @@ from ..verdict.words import said
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph. `kind`: "plain", "note" (small print) or "lead" (the verdict)."""
+    """A paragraph. `kind`: "plain" or "note" (small print)."""
 
     template: ClassVar[str] = "text"
     text: str
@@ -28,9 +28,9 @@ class Text:
 _NOTES = Path(__file__).parent / "templates" / "notes.txt"
 
 
-def note(macro: str, *about: Any) -> Text:
-    """Small print: what a macro of `templates/notes.txt` says."""
-    return Text(" ".join(said(macro, *about, file=_NOTES)), kind="note")
+def note(macro: str, *about: Any, kind: str = "note") -> Text:
+    """What a macro of `templates/notes.txt` says, as small print."""
+    return Text(" ".join(said(macro, *about, file=_NOTES)), kind)
 
 
 @dataclass(frozen=True)

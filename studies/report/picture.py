@@ -39,18 +39,18 @@ def drawn(
     seen: Array,
     triangles: np.ndarray,
     colours: Array,
-    scale: float,
-    shift: Array,
+    frame: tuple[Array, Array],
     width: int,
-    height: int,
     ambient: float = AMBIENT,
 ) -> np.ndarray:
     """(height, width, 4) pixels of 0 to 255 of lit triangles on a transparent ground.
 
-    `seen` are (N, 3) points along `directions`, of which `scale * right + shift` and so on are pixels, counted from
-    the lower left; `colours` are (F, 3, 4) RGBA of the corners, between 0 and 1. Width and
-    height are those of the result.
+    `seen` are (N, 3) points along `directions`; `frame` has the lower left and the upper right corner of what is
+    drawn, (2,) and (2,); `colours` are (F, 3, 4) RGBA of the corners, between 0 and 1.
     """
+    low, high = frame
+    scale = width / (high - low)[0]
+    height = max(1, round(scale * (high - low)[1]))
     corners = seen[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -61,7 +61,7 @@ def drawn(
     shaded[:, :, :3] *= np.minimum(ambient + (1.05 - ambient) * lit, 1.0)[:, None, None]
     renderer = _Renderer(FINER * width, FINER * height, 72)
     renderer.draw_gouraud_triangles(
-        renderer.new_gc(), FINER * (scale * corners[front, :, :2] + shift), shaded, IdentityTransform()
+        renderer.new_gc(), FINER * scale * (corners[front, :, :2] - low), shaded, IdentityTransform()
     )
     return averaged(np.asarray(renderer.buffer_rgba()))
 
@@ -132,15 +132,12 @@ def _drawings(panels: Sequence[Panel]) -> list[np.ndarray]:
     """(height, width, 4) pixels of each panel, all to one scale."""
     everything = np.concatenate([panel.points for panel in panels])
     axes = directions(panels[0].azimuth)
-    low, high = (f(everything @ axes.T, axis=0) for f in (np.min, np.max))
-    half_width, half_height = np.maximum(_MARGIN * (high - low)[:2] / 2, 1e-12)
-    height = round(_PANEL * float(np.clip(half_height / half_width, *_SHAPES)))
-    extent = np.array([_PANEL, height])
-    scale = float(0.5 * np.min(extent / [half_width, half_height]))  # pixels per metre
-    shift = extent / 2 - scale * (low + high)[:2] / 2
+    low, high = (f(everything @ axes.T, axis=0)[:2] for f in (np.min, np.max))
+    half = np.maximum(_MARGIN * (high - low) / 2, 1e-12)
+    half = np.maximum(half, [half[1] / _SHAPES[1], half[0] * _SHAPES[0]])
+    frame = (low + high) / 2 - half, (low + high) / 2 + half
     pictures = []
     for panel in panels:
         colours = colormaps[panel.colour_map](np.clip(panel.values, 0.0, 1.0))[panel.triangles]
-        seen = panel.points @ axes.T
-        pictures.append(drawn(seen, panel.triangles, colours, scale, shift, _PANEL, height))
+        pictures.append(drawn(panel.points @ axes.T, panel.triangles, colours, frame, _PANEL))
     return pictures

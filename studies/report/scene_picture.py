@@ -269,13 +269,10 @@ def _short(name: str) -> str:
 
 def _draw_body(axes: Axes, stage: Stage) -> None:
     low, high = stage.frame
-    width, height = high - low
-    n_rows = max(1, round(_PIXELS * height / width))
     colours = np.tile(to_rgba(BODY), (len(stage.triangles), 3, 1))
     for part in stage.parts:
         colours[stage.facets(part)] = to_rgba(part.colour)
-    scale = _PIXELS / width
-    pixels = drawn(stage.seen, stage.triangles, colours, scale, -scale * low, _PIXELS, n_rows, _AMBIENT)
+    pixels = drawn(stage.seen, stage.triangles, colours, stage.frame, _PIXELS, _AMBIENT)
     axes.imshow(pixels, extent=(low[0], high[0], low[1], high[1]), interpolation="nearest", aspect="equal")
     for part in stage.parts:
         edges, facing = stage.outline(part)

@@ -20,7 +20,6 @@ from ..verdict.digest import Digest
 from ..verdict.formatting import (
     NOTHING,
     input_name,
-    listed,
     percent,
     plain,
     quantity,
@@ -28,7 +27,7 @@ from ..verdict.formatting import (
     short_percent,
     swept_value,
 )
-from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, Text, frame_table, note
+from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, frame_table, note
 from .plots import INK, Curve, from_origin, lines, name_ticks
 
 _MOST_DRAWN = 40  # quantities of a figure
@@ -39,7 +38,9 @@ def against_measurement(digest: Digest) -> Section | None:
     cases = [(case, case.measurement) for case in digest.cases if case.measurement is not None]
     blocks: list[Block] = []
     for number, (case, found) in enumerate(cases):
-        blocks.append(Text(_sentence(found, digest.case_name(case) if len(digest.cases) > 1 else "")))
+        name = digest.case_name(case) if len(digest.cases) > 1 else ""
+        farthest = max(one.distance for one in found.quantities)
+        blocks.append(note("measured_by", name, found.sources, farthest, kind="plain"))
         units = list(dict.fromkeys(one.unit for one in found.quantities))
         blocks += [_summary(digest, found, number, unit) for unit in units]
         if figures := list(_figures(digest, case, found, number)):
@@ -48,13 +49,6 @@ def against_measurement(digest: Digest) -> Section | None:
     if not blocks:
         return None
     return Section("measurement", "Against measurement", [*blocks, note("measurement")])
-
-
-def _sentence(found: Measurement, name: str) -> str:
-    sources = listed(f"{table} ({source})" if source else table for table, source in found.sources.items())
-    farthest = max(one.distance for one in found.quantities)
-    mapped = f" All points are at most {quantity(farthest, 'm', 2)} off the mesh." if farthest > 0.0 else ""
-    return f"{name + ': ' if name else ''}Measured by {sources}.{mapped}"
 
 
 def _summary(digest: Digest, found: Measurement, number: int, unit: str) -> Table:
@@ -153,31 +147,28 @@ def _figures(digest: Digest, case: CaseResult, found: Measurement, number: int) 
             groups.setdefault(one.point if one.component == FORCE else "", []).append(k)
     models = [model for model in digest.models if model in found.simulated]
     for force_of, rows in groups.items():
-        mine = (
-            sorted(rows, key=lambda k: found.quantities[k].depth)[:_MOST_DRAWN]
-            if force_of
-            else rows[:_MOST_DRAWN]
-        )
-        quantities = [found.quantities[k] for k in mine]
-        size, unit = scale_of(quantities[0].unit, found.values[mine])
+        mine = sorted(rows, key=lambda k: found.quantities[k].depth)[:_MOST_DRAWN]
+        quantities, values = [found.quantities[k] for k in mine], found.values[mine]
+        size, unit = scale_of(quantities[0].unit, values)
         if force_of:
             depths = np.array([one.depth for one in quantities])
             length, length_unit = scale_of("m", depths)
-            x, gap, names = depths / length, 0.0, []
+            x, gap, names, look = depths / length, 0.0, [], {}
             title, labels = (
                 f"Force of {force_of} against depth, measured",
                 (f"depth [{length_unit}]", "force"),
             )
         else:  # the models of a quantity stand beside it and end before the next one
-            x, gap = np.arange(len(mine), dtype=float), 0.8 / (1 + len(models))
+            x, gap, look = np.arange(len(mine), dtype=float), 0.8 / (1 + len(models)), {"linestyle": "none"}
             names = [(float(k), _named(one, case)) for k, one in enumerate(quantities)]
             title, labels = "Measured", ("measured quantity", "displacement")
-        look = {"markersize": 4} | ({} if force_of else {"linestyle": "none"})
         curves = [
-            Curve(model, x + gap * (1 + k), found.simulated[model][mine] / size, look=look)
+            Curve(
+                model, x + gap * (1 + k), found.simulated[model][mine] / size, look={"markersize": 4} | look
+            )
             for k, model in enumerate(models)
         ]
-        bars = np.array([one.uncertainty for one in quantities]) / size
+        bars = np.array([one.uncertainty for one in quantities])
         yield lines(
             digest,
             curves,
@@ -185,8 +176,8 @@ def _figures(digest: Digest, case: CaseResult, found: Measurement, number: int) 
             f"{labels[1]} [{unit}]",
             f"{title} (bars: ± u_D) and simulated",
             f"measured{number}-{force_of or 'points'}",
-            finish=partial(_draw_measured, x=x, values=found.values[mine] / size, bars=bars, names=names),
-            shown=lambda value: plain(value, 3),
+            finish=partial(_draw_measured, x=x, values=values / size, bars=bars / size, names=names),
+            shown=plain,
         )
 
 

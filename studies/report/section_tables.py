@@ -228,8 +228,7 @@ def failures(digest: Digest) -> Section | None:
             blocks.append(frame_table(rows, fields, name, caption=caption))
     if digest.run.missing:
         names = [label or "a case" for label in digest.run.missing]
-        text = f"{plural(len(names), 'case')} not run yet: {first_of(names, 7)}."
-        blocks.append(Text(f"{text} Run the study again to do what is missing."))
+        blocks.append(note("missing", names, kind="plain"))
     return Section("failures", "What failed or is missing", blocks) if blocks else None
 
 

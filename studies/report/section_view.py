@@ -18,7 +18,7 @@ from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
-from ..verdict.formatting import capital, plain, quantity
+from ..verdict.formatting import plain
 from .blocks import Section, Still, Viewer, note
 from .picture import COLOUR_MAPS, Panel, labelled
 from .scene_picture import KINDS, Stage
@@ -86,18 +86,14 @@ def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
         panel(name, size, largest, COLOUR_MAPS[0], f"displacement of {called[name]}")
         for name, size in sizes.items()
     ]
-    parts = [
-        f"{called[name]} moves by up to {quantity(float(size.max()), 'm')}" for name, size in sizes.items()
-    ]
+    gap = None
     if len(fields) == 2:
         model, reference = fields
-        gap = np.linalg.norm(fields[model] - fields[reference], axis=1)
-        panels.append(panel(model, gap, float(gap.max()), COLOUR_MAPS[1], "difference"))
-        parts.append(f"they differ by up to {quantity(float(gap.max()), 'm')}")
-    order = "Left to right: " if len(panels) > 1 else ""
-    told = f"{order}{'; '.join(parts)}."
-    drawn = f"The displacement is drawn {plain(scale)} times as large." if scale != 1 else ""
-    return panels, " ".join(filter(None, [capital(told), drawn]))
+        apart = np.linalg.norm(fields[model] - fields[reference], axis=1)
+        gap = float(apart.max())
+        panels.append(panel(model, apart, gap, COLOUR_MAPS[1], "difference"))
+    moves = {called[name]: float(size.max()) for name, size in sizes.items()}
+    return panels, note("still", moves, gap, scale).text
 
 
 # --- the viewer's data ---

@@ -91,6 +91,7 @@ def _templates(file: Path) -> Any:
         "amount": f.quantity,
         "measure": f.measure,
         "bar": f.with_bar,
+        "plain": f.plain,
         "listed": f.listed,
         "first_of": f.first_of,
         "count": f.plural,
