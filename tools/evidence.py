@@ -76,6 +76,14 @@ def ran_text(
     return read_run(runs / name)
 
 
+def study_of(own: Mapping[str, Any], body: str, load: str, **study: Any) -> str:
+    """A body under a load as a study file, with these keys of [study]."""
+    about, loads = own["bodies"][body], own["loads"]
+    found = merged(own["study"], {key: value for key, value in about.items() if key not in loads})
+    found = merged(merged(found, loads[load]), about.get(load, {}))
+    return tomli_w.dumps(merged(found, {"study": study}))
+
+
 def as_per_cent(share: np.floating[Any] | float) -> str:
     """Per cent with two digits."""
     per_cent = 100.0 * share
@@ -401,7 +409,9 @@ def league(name: str, _: Sequence[str]) -> None:
     here = [model for model in own["models"] if split(model)[0] in all_models()]
     cases: list[CaseResult] = []
     for body, load in ((body, load) for body in own["bodies"] for load in own["loads"]):
-        cases += ran_text(league_study(body, load, here), f"league-{body}-{load}").cases
+        study_name = f"league-{body}-{load}"
+        text = study_of(own, body, load, name=study_name, models=[*here, "fem"])
+        cases += ran_text(text, study_name).cases
     engines = [
         f"{wheel} {version(wheel)}" for wheel in ("mujoco", "ngsolve") if len(here) == len(own["models"])
     ]
@@ -410,16 +420,6 @@ def league(name: str, _: Sequence[str]) -> None:
     ]
     told = " ".join([f"{', '.join([*engines, f'{len(cases)} cases'])}.", *left_out])
     show(ROOT / own["document"], own["part"], f"{told}\n\n{league_table(cases, here)}")
-
-
-def league_study(body: str, load: str, models: Sequence[str]) -> str:
-    """A body under a load as a study file."""
-    own = EVIDENCE["league"]
-    tables = own["bodies"][body] | own["loads"][load]
-    tables["regions"] = own["bodies"][body]["regions"] | own["loads"][load].get("regions", {})
-    tables["tissue"] = tables["tissue"] | {"poisson_ratio": 0.45}
-    study = {"name": f"league-{body}-{load}", "models": [*models, "fem"], "reference": "fem"}
-    return tomli_w.dumps({"study": study, **tables, "uncertainty": {"levels": 2}})
 
 
 def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
@@ -591,9 +591,9 @@ def main(arguments: Sequence[str]) -> None:
     if not arguments or arguments[0] not in EVIDENCE:
         sys.exit(f"say what: one of {', '.join(EVIDENCE)}")
     name, *own = arguments
-    made_by = EVIDENCE[name]["made_by"]
+    made_by = EVIDENCE[name].get("made_by")
     make: Callable[[str, Sequence[str]], None]
-    make = importlib.import_module(made_by).main if made_by.startswith("tools.") else globals()[made_by]
+    make = importlib.import_module(made_by).main if made_by else globals()[name]
     make(name, own)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 import tomli_w
 
 from tools.documents import ROOT, RUNS, finished, show, table
-from tools.evidence import EVIDENCE, MEASURES, as_per_cent, kept, slashed
+from tools.evidence import EVIDENCE, MEASURES, as_per_cent, kept, slashed, study_of
 from vdm.constraints import Load
 from vdm.material import Parameters
 from vdm.model import Model
@@ -81,31 +81,6 @@ def _write(path: Path) -> None:
         gmsh.finalize()
 
 
-def study_text(body: str, load: str) -> str:
-    """A load on a body as a study file."""
-    about = OWN["bodies"][body]
-    geometry, contact = dict(about["geometry"]), load == "contact"
-    if "path" in geometry:
-        geometry |= {"shape": "file"}
-    regions = {"base": about["regions"]["base"]}
-    regions |= {"patch": about.get("patch", OWN["patch"])} if contact else {"tip": about["regions"]["tip"]}
-    acting = [dict(one) for one in OWN["loads"][load]]
-    if contact and "contact" in about:
-        acting[0]["pressure"] = about["contact"]
-    weight = {"gravity": {"acceleration": [0, 0, -9.81]}} if load == "weight" else {}
-    return tomli_w.dumps(
-        {
-            "study": {"name": f"{body}-{load}", **OWN["study"]["study"]},
-            "geometry": geometry,
-            "tissue": about["tissue"] | OWN["study"]["tissue"],
-            "regions": regions,
-            "constraints": [{"kind": "fixed", "region": "base"}, *acting],
-            "uncertainty": OWN["study"]["uncertainty"],
-            **weight,
-        }
-    )
-
-
 def _run(name: str, text: str) -> list[CaseResult]:
     """Its cases; one whose reference ends on the way is compared where that ended."""
     directory = RUNS / "parts"
@@ -139,7 +114,8 @@ def rows(surface: Path | None) -> Iterator[list[str]]:
     for body in OWN["bodies"]:
         for load in OWN["loads"]:
             if not (load == "weight" and body == "bladder"):
-                (case,) = _run(f"{body}-{load}", study_text(body, load))
+                name = f"{body}-{load}"
+                (case,) = _run(name, study_of(OWN, body, load, name=name))
                 yield row(body, load, case)
     if surface is not None:
         text: dict[str, Any] = OWN["liver"] | {"study": {"name": "liver", **OWN["study"]["study"]}}

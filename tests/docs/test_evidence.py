@@ -39,12 +39,12 @@ def test_other_studies_of_the_evidence_are_sound(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     own = EVIDENCE["league"]
     for body, load in ((body, load) for body in own["bodies"] for load in own["loads"]):
-        path.write_text(evidence.league_study(body, load, OURS))
+        path.write_text(evidence.study_of(own, body, load, name="league", models=[*OURS, "fem"]))
         assert len(expand(load_study(path))) == (4 if load == "touch" else 2)
     for name in ("cup", "fork"):
         (tmp_path / f"{name}.stl").touch()
     for body, load in ((body, load) for body in trial.OWN["bodies"] for load in trial.OWN["loads"]):
-        path.write_text(trial.study_text(body, load))
+        path.write_text(evidence.study_of(trial.OWN, body, load, name=body))
         if (body, load) != ("bladder", "weight"):  # whose fluid has none
             assert len(expand(load_study(path))) == 1
     studies = {path.stem for path in CASES.glob("*.toml")}
