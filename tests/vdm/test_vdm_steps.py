@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from tests.vdm.vdm_shapes import BASE, POINTS, icosphere, model
 from vdm import FORMULATIONS, ConstraintError, Load, Model, Parameters, SurfaceMesh
@@ -56,6 +57,31 @@ def test_a_frame_that_asks_for_nothing_computes_nothing(form, solver, monkeypatc
         a is b for a, b in zip(first, (step.reaction_force, step.energy, step.displacement), strict=True)
     )
     assert not seen
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_reactions_and_energy_are_those_of_the_whole_operator(form):
+    body = model(form, constrained=TOP, density=1060.0, gravity=(1.0, 0.0, -9.81))
+    load = a_load()
+    step = body.solver.step(load)
+    form_of, problem = body.formulation, body.problem
+    # K x column by column of its identity, whatever the formulation keeps of it
+    unit = np.eye(step.unknown.size).reshape(-1, *step.unknown.shape)
+    matrix = np.stack([form_of.apply(column).reshape(-1) for column in unit], axis=1)
+    product = (matrix @ step.unknown.reshape(-1)).reshape(step.unknown.shape)
+    columns = form_of.columns.dense()
+    internal = product - columns[:, :, 1:] @ step.border[1:]
+    lacking = internal - columns[:, :, 0] * step.border[0] - problem.force(load)
+    size = np.abs(product).max()
+    assert np.abs(lacking[problem.free]).max() < 1e-9 * size
+    lacking[problem.free] = 0.0
+    reaction = form_of.nodal_force(lacking)
+    assert_allclose(step.reaction_force, reaction, rtol=1e-9, atol=1e-9 * np.abs(reaction).max())
+    work = 0.5 * np.vdot(form_of.displacement(step.unknown), form_of.nodal_force(internal))
+    assert_allclose(step.energy, work, rtol=1e-9, atol=1e-12 * abs(work))
+    solution = body.solve([load])
+    assert np.array_equal(solution.reaction_force[0], step.reaction_force)
+    assert solution.energy[0] == step.energy
 
 
 @pytest.mark.parametrize("form", FORMS)
