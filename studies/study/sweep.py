@@ -6,7 +6,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
@@ -338,7 +338,7 @@ class Input:
     ----------
     ends : the values whose answers are subtracted: those of a range, or one standard deviation either way
     weight : what half the difference of these answers is multiplied by, to be a standard deviation
-    written : its table, as a file could hold it
+    written, entry : its table, as a file could hold it, and where that is
     """
 
     key: str
@@ -348,6 +348,7 @@ class Input:
     ends: tuple[float, float]
     weight: float
     written: dict[str, Any]
+    entry: Loc = field(compare=False)
 
     @property
     def deviation(self) -> float:
@@ -376,7 +377,7 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
         if target.si is not None and target.loc[0] not in NEVER_AN_INPUT
     }
     found, findings = _entries(
-        "inputs", data["inputs"], lambda key, _, entry: _input(data, key, entry, known), known, Known
+        "inputs", data["inputs"], lambda key, loc, entry: _input(data, key, loc, entry, known), known, Known
     )
     if not found and not findings:
         findings.append((("inputs",), f"names no key; add one, such as tissue.youngs_modulus: {_FORMS}"))
@@ -388,7 +389,7 @@ def as_written(data: Mapping[str, Any]) -> dict[str, Any]:
     return {one.key: one.written for one in read_inputs(data)[0]}
 
 
-def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Target]) -> Input:
+def _input(data: Mapping[str, Any], key: str, loc: Loc, entry: Any, known: Mapping[str, Target]) -> Input:
     """Raises EntryError, ValidationError."""
     if key.partition(".")[0] == "geometry":
         raise EntryError("is another body with other nodes, which cannot be held against this one; sweep it")
@@ -406,7 +407,7 @@ def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Ta
         sd = float(_value(target, given.sd, "sd"))
         if sd <= 0:
             raise EntryError(f"must be positive, not {sd:g}", "sd")
-        return Input(key, target.loc, target.unit, value, (value - sd, value + sd), 1.0, {"sd": sd})
+        return Input(key, target.loc, target.unit, value, (value - sd, value + sd), 1.0, {"sd": sd}, loc)
     if not isinstance(given.range, list | tuple) or len(given.range) != 2:
         raise EntryError("must be a list of two values, the least and the most", "range")
     low, high = (float(_value(target, end, "range")) for end in given.range)
@@ -416,7 +417,7 @@ def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Ta
         unit = "" if target.unit == "1" else f" {target.unit}"
         raise EntryError(f"does not hold the study's own value, {value:g}{unit}", "range")
     even = 1.0 / math.sqrt(3.0)  # every value between is as likely
-    return Input(key, target.loc, target.unit, value, (low, high), even, {"range": [low, high]})
+    return Input(key, target.loc, target.unit, value, (low, high), even, {"range": [low, high]}, loc)
 
 
 # --- The studies with other values of the inputs that tell what comes of not knowing them ---
@@ -426,29 +427,17 @@ def _input(data: Mapping[str, Any], key: str, entry: Any, known: Mapping[str, Ta
 _NOT_VARIED = ("inputs", "sweep", "measured", "limits", "calibration")
 
 
-@dataclass(frozen=True)
-class Variation:
-    """A study in which one input has another value: key -> value, SI."""
-
-    values: Mapping[str, float]
-    study: Study
-
-
-def variations(study: Study) -> tuple[list[Variation], list[Finding]]:
-    """The studies with each input at both its ends in turn, or the first thing that is wrong with them."""
+def variations(study: Study) -> tuple[list[ResolvedCase], list[Finding]]:
+    """The study with each input at both its ends in turn, or the first thing that is wrong with that."""
     if study.inputs is None:
         return [], []
     data = study.model_dump()
     inputs, findings = read_inputs(data)
-    if findings:
-        return [], findings
     rest = {key: value for key, value in data.items() if key not in _NOT_VARIED}
-    found: list[Variation] = []
-    for one, value in [(known, end) for known in inputs for end in known.ends]:
+    found: list[ResolvedCase] = []
+    for one, value in [(known, end) for known in inputs for end in known.ends if not findings]:
         other, faults = validate(substituted(rest, one.loc, value), study._source)
-        if other is None:  # told at the input that makes the fault
-            entries = flattened(data["inputs"], targets(data), Known, ("inputs",))
-            place = {name: place for name, place, _ in entries}.get(one.key, ("inputs",))
-            return [], [(place, f"at {value:g}: {faults[0][1]}; give a range that ends before")]
-        found.append(Variation({one.key: value}, other))
-    return found, []
+        if other is None:
+            return [], [(one.entry, f"at {value:g}: {faults[0][1]}; give a range that ends before")]
+        found.append(ResolvedCase(f"{one.key} = {value:.6g}", {one.key: value}, {one.key: one.unit}, other))
+    return found, findings

@@ -57,9 +57,9 @@ class PlannedCase:
             return ()
         found = []
         for varied in variations(self.study)[0]:
-            told = ", ".join(f"{key} = {value:.6g}" for key, value in varied.values.items())
-            about: dict[str, Any] = {"hash": "", "label": ", ".join(filter(None, (self.label, told)))}
-            found.append(replace(self, study=varied.study, values=varied.values, **about))
+            label = ", ".join(filter(None, (self.label, varied.label)))
+            values = {key: float(value) for key, value in varied.swept.items()}
+            found.append(replace(self, hash="", label=label, study=varied.study, values=values))
         return tuple(found)
 
     @property
