@@ -23,10 +23,10 @@ from .sweep import (
     STAR,
     Axis,
     ResolvedCase,
-    as_written,
     check_cases,
     first_case,
     read_axes,
+    read_inputs,
     substituted,
     variations,
 )
@@ -124,7 +124,7 @@ def resolved(study: Study) -> dict[str, Any]:
     """
     data = _plain(study, mode="json")
     if "inputs" in data:
-        data["inputs"] = as_written(data)
+        data["inputs"] = {one.key: one.written for one in read_inputs(data)[0]}
     return data
 
 

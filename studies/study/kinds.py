@@ -35,7 +35,7 @@ from pydantic_core import (
 )
 
 from .errors import MOST_TOLD, Loc, Source, unknown
-from .units import NUMBER, QuantityError, shown, to_si, type_name
+from .units import DIMENSIONS, NUMBER, QuantityError, shown, to_si, type_name
 
 MAX_NAME = 64  # characters
 MOST_NUMBERS = 10_000  # of a list of quantities
@@ -96,6 +96,12 @@ def number_check(holds: Callable[[float], bool], message: str) -> AfterValidator
 
 positive = number_check(lambda v: v > 0, "must be positive")
 not_negative = number_check(lambda v: v >= 0, "must be positive or zero")
+
+
+def within(unit: str, low: float, high: float) -> AfterValidator:
+    """Bounds of a quantity in SI `unit`, outside of which a unit is likelier to be mixed up."""
+    told = f"must lie between {low:g} and {high:g} {unit} (a mixed-up unit? a bare number is in {unit}: write"
+    return number_check(lambda v: low <= v <= high, f'{told} "{DIMENSIONS[unit][1]}")')
 
 
 def is_safe_name(value: Any) -> TypeGuard[str]:

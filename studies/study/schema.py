@@ -49,21 +49,14 @@ from .kinds import (
     number_check,
     one_line,
     positive,
+    within,
 )
 from .loads import Constraint
 from .measured import MOST_TABLES, Measured
 from .registry import SCANNED, Parameter, all_models, own_parameters
 from .shapes import Geometry
 
-YoungsModulus = Annotated[
-    float,
-    SI("Pa"),
-    positive,
-    number_check(
-        lambda v: 10 <= v <= 1e10,
-        'must lie between 10 Pa and 10 GPa (a mixed-up unit? a bare number is in Pa: write "5 kPa")',
-    ),
-]
+YoungsModulus = Annotated[float, SI("Pa"), within("Pa", 10, 1e10)]
 PoissonRatio = Annotated[
     float,
     SI("1"),
@@ -78,15 +71,9 @@ class Tissue(Table):
 
     youngs_modulus: YoungsModulus = Key("Young's modulus")
     poisson_ratio: PoissonRatio = Key("Poisson's ratio, at most 0.5; surface models keep the volume")
-    density: Annotated[
-        float,
-        SI("kg/m^3"),
-        positive,
-        number_check(
-            lambda v: 10 <= v <= 1e5,
-            'must lie between 10 and 100,000 kg/m^3 (a mixed-up unit? write "1.06 g/cm^3")',
-        ),
-    ] = Key("mass density; only gravity uses it", 1060.0)
+    density: Annotated[float, SI("kg/m^3"), within("kg/m^3", 10, 1e5)] = Key(
+        "mass density; only gravity uses it", 1060.0
+    )
     law: Literal["neo-hookean", "mooney-rivlin", "yeoh", "fung", "ogden"] | None = Key(
         "law of large strain, of fem: neo-hookean where left out; its moduli at small strain are these", None
     )
@@ -263,15 +250,7 @@ class Cap(Table):
     """Nodes within a cone, seen from the centroid of the body"""
 
     direction: Direction = Key("axis of the cone, of any length")
-    angle: Annotated[
-        float,
-        SI("rad"),
-        positive,
-        number_check(
-            lambda v: v <= math.pi,
-            'must be at most 180 deg (a bare number is in radians: write "25 deg")',
-        ),
-    ] = Key("half of the opening angle")
+    angle: Annotated[float, SI("rad"), positive, within("rad", 0, math.pi)] = Key("half of the opening angle")
 
 
 class Places(Table):

@@ -384,11 +384,6 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
     return [found[key] for key in sorted(found)], findings
 
 
-def as_written(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The table [inputs] as a file could hold it, in SI."""
-    return {one.key: one.written for one in read_inputs(data)[0]}
-
-
 def _input(data: Mapping[str, Any], key: str, loc: Loc, entry: Any, known: Mapping[str, Target]) -> Input:
     """Raises EntryError, ValidationError."""
     if key.partition(".")[0] == "geometry":
