@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from fem_reference.system import LinearSystem
 from solver_common.arrays import Array
 from solver_common.solution import solver_error
 
+Made = TypeVar("Made")
 SOLVERS = ("auto", "direct", "iterative")
 BATCH = 32  # right-hand sides per triangular solve: beyond it a single one gets no cheaper
 # From this many on, a factor in double precision (twice the time and memory) saves more than it costs: one solve
@@ -237,40 +238,51 @@ def _system_costs(system: LinearSystem, loads: int) -> dict[str, Estimate]:
     return estimate_costs(system.size, system.mesh.n_vertices, loads, system.divergence_coefficient)
 
 
-def choose_solver(
-    system: LinearSystem, requested: str, expected_loads: int, memory_limit: float | None
-) -> Solver:
-    """Set up the solver that `requested` names or, for "auto", the faster one that fits into memory.
+def chosen(
+    requested: str,
+    costs: dict[str, Estimate],
+    task: str,
+    memory_limit: float | None,
+    make: dict[str, Callable[[str], Made]],
+) -> Made:
+    """What is made on the path that is `requested` or, for "auto", on the faster one that fits into memory.
+
+    Parameters
+    ----------
+    requested : one of `SOLVERS`
+    costs : by name of the path
+    task : in words, for the reason of the choice
+    memory_limit : bytes; None for what is available
+    make : by name of the path, given the reason
 
     Raises
     ------
     SolverError
-        If the name is unknown or no path fits into `memory_limit` bytes (None: what is available).
+        If the name is unknown or no path fits.
     """
     if requested not in SOLVERS:
         raise solver_error(
             "bad-solver", f"solver {requested!r} is unknown", f"use one of {', '.join(SOLVERS)}"
         )
-    if requested == "direct":
-        return DirectSolver(system, memory_limit, "asked for", expected_loads)
-    if requested == "iterative":
-        return IterativeSolver(system, memory_limit, "asked for")
+    if requested != "auto":
+        return make[requested]("asked for")
+    name, reason = faster_that_fits(costs, task, allowed_memory(memory_limit))
+    try:
+        return make[name](reason)
+    except SolverError as error:
+        if name != "direct" or error.status.code != "memory":
+            raise
+    return make["iterative"](f"{reason}; the analysis found that the factors need more")
+
+
+def choose_solver(
+    system: LinearSystem, requested: str, expected_loads: int, memory_limit: float | None
+) -> Solver:
+    """Set up the solver of a system; raises as `chosen`."""
+    iterative = IterativeThenDirect if requested == "auto" else IterativeSolver
+    make: dict[str, Callable[[str], Solver]] = {
+        "direct": lambda reason: DirectSolver(system, memory_limit, reason, expected_loads),
+        "iterative": lambda reason: iterative(system, memory_limit, reason),
+    }
     costs = _system_costs(system, max(1, expected_loads))
-    allowed = allowed_memory(memory_limit)
-    name, reason = faster_that_fits(costs, f"{system.size} unknowns, {expected_loads} loads", allowed)
-    if name == "direct":
-        try:
-            return DirectSolver(system, memory_limit, reason, expected_loads)
-        except SolverError as error:
-            if error.status.code != "memory":
-                raise
-            reason += "; the analysis found that the factors need more"
-    if costs["iterative"].bytes > allowed:
-        smallest = min(cost.bytes for cost in costs.values())
-        raise solver_error(
-            "memory",
-            f"the body has {system.size} unknowns: the direct and the iterative solver need"
-            f" {smallest / 1e6:.0f} MB or more but {allowed / 1e6:.0f} MB are available",
-            "use a larger mesh_size or a machine with more memory",
-        )
-    return IterativeThenDirect(system, memory_limit, reason)
+    return chosen(requested, costs, f"{system.size} unknowns, {expected_loads} loads", memory_limit, make)

@@ -66,9 +66,9 @@ def check_memory(needed: float, limit: float | None, path: str) -> None:
     """Raise a `SolverError` if `needed` bytes exceed `limit` (None: what is available now)."""
     allowed = allowed_memory(limit)
     if needed > allowed:
-        other = "iterative" if path == "direct" else "direct"
+        or_else = 'solver="iterative"' if path == "direct" else "a machine with more memory"
         raise solver_error(
             "memory",
             f"the {path} solver needs about {needed / 1e6:.0f} MB but {allowed / 1e6:.0f} MB are available",
-            f'use a larger mesh_size or solver="{other}"',
+            f"use a larger mesh_size or {or_else}",
         )

@@ -17,16 +17,14 @@ from typing import Protocol
 
 import numpy as np
 
-from fem_reference.costs import NEWTON_STEPS, RESTART, estimate_costs, estimate_newton_costs, faster_that_fits
+from fem_reference.costs import NEWTON_STEPS, RESTART, estimate_costs, estimate_newton_costs
 from fem_reference.factorisation import LIBRARY, Analysis, pivotable_triangle
 from fem_reference.krylov import gmres
-from fem_reference.linear_algebra import SOLVERS
+from fem_reference.linear_algebra import chosen
 from fem_reference.memory import allowed_memory, check_memory
 from fem_reference.multigrid import BlockPreconditioner
-from fem_reference.solution import SolverError
 from fem_reference.system import LinearSystem
 from solver_common.arrays import Array
-from solver_common.solution import solver_error
 
 Operator = Callable[[Array], Array]
 
@@ -144,25 +142,13 @@ class TangentSolver:
     def __init__(
         self, system: LinearSystem, requested: str, expected_loads: int, memory_limit: float | None
     ) -> None:
-        if requested not in SOLVERS:
-            raise solver_error(
-                "bad-solver", f"solver {requested!r} is unknown", f"use one of {', '.join(SOLVERS)}"
-            )
-        name, self.reason = requested, "asked for"
-        if requested == "auto":
-            costs = estimate_newton_costs(system.size, system.mesh.n_vertices, expected_loads)
-            task = f"{system.size} unknowns, {NEWTON_STEPS * max(1, expected_loads)} solves"
-            name, self.reason = faster_that_fits(costs, task, allowed_memory(memory_limit))
-        self.preconditioner: Preconditioner
-        try:
-            self.preconditioner = (
-                Factors(system, memory_limit) if name == "direct" else Multigrid(system, memory_limit)
-            )
-        except SolverError as error:
-            if requested != "auto" or name != "direct" or error.status.code != "memory":
-                raise
-            self.reason += "; the analysis found that the factors need more"
-            self.preconditioner = Multigrid(system, memory_limit)
+        make: dict[str, Callable[[str], tuple[Preconditioner, str]]] = {
+            "direct": lambda reason: (Factors(system, memory_limit), reason),
+            "iterative": lambda reason: (Multigrid(system, memory_limit), reason),
+        }
+        costs = estimate_newton_costs(system.size, system.mesh.n_vertices, expected_loads)
+        task = f"{system.size} unknowns, {NEWTON_STEPS * max(1, expected_loads)} solves"
+        self.preconditioner, self.reason = chosen(requested, costs, task, memory_limit, make)
         self.factorisations = 0
         self.steps = 0
         self._approximate: Operator | None = None

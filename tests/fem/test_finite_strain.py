@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import bsr_array
 
-from fem_reference import tangent_solver
+from fem_reference import linear_algebra
 from fem_reference.assembly import coupling_pattern, scalar_pattern
 from fem_reference.condensed import CondensedProblem
 from fem_reference.finite_strain import OUTPUTS, FiniteStrainProblem
@@ -303,7 +303,7 @@ def test_auto_turns_to_multigrid_when_the_analysis_finds_too_much_fill(
         for solver in ("direct", "iterative")
     )
     assert iterative < direct
-    monkeypatch.setattr(tangent_solver, "faster_that_fits", lambda *_: ("direct", "hopeful"))
+    monkeypatch.setattr(linear_algebra, "faster_that_fits", lambda *_: ("direct", "hopeful"))
     problem = b.finite(b.bottom, memory_limit=0.5 * (iterative + direct))
     assert problem.solver.preconditioner.name == "iterative"
     assert problem.solver.reason == "hopeful; the analysis found that the factors need more"
