@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from solver_common.arrays import Index
-from solver_common.solution import Status
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
-from ..machine import processor_name, read_arrays, write_arrays
+from ..machine import plain, processor_name, read_arrays, write_arrays
 from ..scene.result import ModelResult
+from ..store.plain import typed
 
 # arrays of a result that have one entry a load step
 STEPS = (
@@ -28,7 +28,6 @@ STEPS = (
     "iterations",
     "seconds_per_step",
 )
-_NUMBERS = ("seconds_setup", "peak_bytes", "version")
 ELSEWHERE = "measured_on"  # parameter of a result whose times another processor took: which
 
 
@@ -39,12 +38,8 @@ def answer_path(cache: Path, key: str) -> Path:
 
 def write_answer(path: Path, result: ModelResult) -> None:
     """Store an answer, with the processor that its times are of. Raises OSError."""
-    about = {
-        **{name: getattr(result, name) for name in _NUMBERS},
-        "parameters": dict(result.parameters),
-        "status": [dataclasses.astuple(status) for status in result.status],
-        "processor": processor_name(),  # the cache may be copied to another machine
-    }
+    about = plain(result, without=(*STEPS, "scalars", "part_of_node", "frames"))
+    about["processor"] = processor_name()  # the cache may be copied to another machine
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
     arrays |= {name: getattr(result, name) for name in STEPS}
     arrays |= {f"scalar/{name}": values for name, values in result.scalars.items()}
@@ -58,21 +53,13 @@ def read_answer(path: Path) -> ModelResult | None:
     arrays = read_arrays(path)
     if arrays is None:
         return None
-    about = json.loads(str(arrays["about"]))
-    elsewhere = {ELSEWHERE: about["processor"]} if about["processor"] != processor_name() else {}
-    stored: dict[str, Any] = {name: arrays[name] for name in STEPS}
-    return ModelResult(
-        **stored,
-        **{name: about[name] for name in _NUMBERS},
-        status=tuple(Status(*status) for status in about["status"]),
-        parameters={**about["parameters"], **elsewhere},
-        scalars={
-            name.removeprefix("scalar/"): values
-            for name, values in arrays.items()
-            if name.startswith("scalar/")
-        },
-        part_of_node=arrays.get("part_of_node"),
-    )
+    about = json.loads(str(arrays.pop("about")))
+    if about["processor"] != processor_name():
+        about["parameters"][ELSEWHERE] = about["processor"]
+    known: dict[str, Any] = {name: arrays.pop(name) for name in STEPS}
+    known["part_of_node"] = arrays.pop("part_of_node", None)
+    known["scalars"] = {name.removeprefix("scalar/"): values for name, values in arrays.items()}
+    return typed(ModelResult, about, **known)
 
 
 def stored_answer(cache: Path, key: str) -> ModelResult:

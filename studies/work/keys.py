@@ -6,7 +6,7 @@ answer    body and what acts on it: a load step up to a factor where answers sup
 case      all inputs, mesh, the version of each model
 
 Keys are whole by construction: a field of the schema enters all of them, unless it is marked there (`Enters`).
-Those of the tables in `_BY_PARTS` enter what may read them, as the models and the kinds of constraints declare.
+Of some tables a set-up's key has what its model reads alone, as the models and the kinds of constraints declare.
 """
 
 from __future__ import annotations
@@ -24,22 +24,9 @@ from ..study.loads import KINDS, VERSION
 from ..study.registry import lacks
 from ..study.schema import Study, extras_for, extras_of
 
-_FORMAT = 3  # of the files of answers: raised with what is in them
+_FORMAT = 4  # of the files of answers: raised with what is in them
 _DIGITS = 12  # of a load beside others: less is rounding
-# of a set-up's inputs those that enter its key by what reads them; any other enters whole
-_BY_PARTS = (
-    "tissue",
-    "inclusions",
-    "vdm",
-    "models",
-    "regions",
-    "constraints",
-    "load",
-    "gravity",
-    "environment",
-    "anisotropy",
-)
-_OF_STUDY = ("models", "reference", "condition", "homogeneous")  # of [study], the same
+_OF_MODELS = ("models", "reference", "homogeneous")  # of [study], which a key of one model has otherwise
 
 
 @dataclass(frozen=True)
@@ -69,26 +56,14 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
     inputs : those of `case_inputs`, where they are known
     """
     inputs = inputs or case_inputs(study)
-    own = {name: value for name, value in inputs.items() if name not in ("study", "geometry")}
     return _digest(
         {
-            "inputs": own | _beside(study.without(dict(inputs), Enters.MESH)),
+            "inputs": study.without(dict(inputs), Enters.MESH),
             "mesh": mesh_key,
             "models": {name: models.find(name)[0].version for name in study.study.models},
             "loads": VERSION,
-            "reference": study.study.reference,
         }
-        | _where_there_are(
-            condition=study.study.condition,
-            homogeneous=sorted(study.study.homogeneous),  # which answer without the inclusions
-        )
     )
-
-
-def _beside(inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """Of [study] and [geometry] what no other part of a key has."""
-    about = {key: value for key, value in inputs["study"].items() if key not in _OF_STUDY}
-    return _where_there_are(study=about, geometry=inputs["geometry"])
 
 
 def wanted(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None) -> list[Wanted]:
@@ -96,13 +71,11 @@ def wanted(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None)
     inputs = inputs or case_inputs(study)
     levels = study.uncertainty.levels if study.uncertainty else 1
     setup = study.without(dict(inputs), Enters.MESH, Enters.CASE)
-    others = {key: value for key, value in setup.items() if key not in (*_BY_PARTS, "study", "geometry")}
-    others |= _beside(setup)
     steps, out = load_steps(study, inputs), []
     for name in study.study.models:
         finest = levels if name == study.study.reference else 1
         for level in range(finest):
-            about = others | _body(study, inputs, name) | {"mesh": level_key(mesh_key, level)}
+            about = setup | _read_by(name, study, inputs) | {"mesh": level_key(mesh_key, level)}
             out.append(_wanted(study, steps, name, level, _digest(about)))
     return out
 
@@ -159,49 +132,30 @@ def has_penalty(study: Study, name: str) -> bool:
     return "penalty" in given and "penalty" in models.reads(name)
 
 
-def _where_there_are(**extras: Any) -> dict[str, Any]:
-    """What most studies have not, and whose keys were made before there was such a thing."""
-    return {key: value for key, value in extras.items() if value}
-
-
-def _body(study: Study, inputs: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """What a model's set-up reads, the mesh apart."""
+def _read_by(name: str, study: Study, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """What a model's set-up reads of tables that it does not read whole; None where nothing."""
     model, solver = models.find(name)
-    weighs, gravity = has_weight(study), inputs.get("gravity")
-    read = (*model.tissue, "density") if weighs else model.tissue
+    weighs = has_weight(study)
+    tissue = (*model.tissue, "density") if weighs else model.tissue
     parameters = {**inputs["vdm"], **(inputs["models"].get(name) or {})}
     return {
-        "model": model.name,
-        "solver": solver,
-        "version": [model.version, VERSION],
-        "tissue": {key: inputs["tissue"][key] for key in read if key in inputs["tissue"]},
-        "held": [
-            _held(part, inputs)
+        "model": [model.name, solver, model.version, VERSION],
+        "study": {key: value for key, value in inputs["study"].items() if key not in _OF_MODELS},
+        "tissue": {key: inputs["tissue"][key] for key in tissue if key in inputs["tissue"]},
+        "constraints": [_held(part, inputs) for part in inputs["constraints"] if KINDS[part["kind"]].holds],
+        "supports": [
+            {key: value for key, value in part.items() if key != "name"} | _held(part, inputs)
             for part in inputs["constraints"]
-            if part["kind"] in KINDS and KINDS[part["kind"]].holds
+            if KINDS[part["kind"]].supports
         ],
-        "gravity": gravity if weighs else None,
-        "anisotropy": inputs.get("anisotropy"),
-        "parameters": {key: value for key, value in parameters.items() if key in models.reads(name)},
+        "gravity": inputs["gravity"] if weighs else None,
+        "vdm": {key: value for key, value in parameters.items() if key in models.reads(name)},
         "environment": None if model.volumetric else inputs.get("environment"),
+        "inclusions": None if name in study.study.homogeneous else inputs.get("inclusions"),
         "touched": _touched(inputs) if model.contact_in_setup else None,
-    } | _where_there_are(
-        supports=_supports(inputs),
-        inclusions=None if name in study.study.homogeneous else inputs.get("inclusions"),
-        lacks=lacks(name, extras_for(name, study)),  # a stored refusal ends when the model learns
-        condition=study.study.condition,
-    )
-
-
-def _supports(inputs: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What resists without holding, with its keys."""
-    found = []
-    for part in inputs["constraints"]:
-        kind = KINDS.get(part["kind"])
-        if kind is not None and kind.supports:
-            named = {key: value for key, value in part.items() if key != "name"}
-            found.append(named | _held(part, inputs))
-    return found
+        "lacks": lacks(name, extras_for(name, study)),  # a stored refusal ends when the model learns
+        **dict.fromkeys(("models", "regions", "load")),
+    }
 
 
 def _held(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:
