@@ -109,9 +109,8 @@ def _check_read(study: Study) -> Iterator[Finding]:
 
 def _check_law(study: Study) -> Iterator[Finding]:
     tissue = study.tissue
-    present = {key for key in LAW_KEYS if key in tissue.model_fields_set}
     law = tissue.law or NEO_HOOKEAN
-    needed = set(LAWS[law].keys)
+    present, needed = tissue.model_fields_set.intersection(LAW_KEYS), set(LAWS[law].keys)
     for key in sorted(needed - present):
         yield ("tissue", key), f"is missing; the law {shown(law)} needs {listed(needed)}"
     for key in sorted(present - needed):
@@ -260,10 +259,9 @@ def _check_measured(study: Study) -> Iterator[Finding]:
     for place, table in enumerate(study.measured or ()):
         loc = ("measured", place)
         kinds = [name for name in ("points", "surface", "forces") if getattr(table, name)]
-        if not kinds:
-            yield loc, "has no values: give path, points, surface or forces"
-        if len(kinds) > 1:
-            yield loc, f"has {' and '.join(kinds)}; give a table to each"
+        if len(kinds) != 1:
+            given = f", not {listed({*kinds})}" if kinds else ""
+            yield loc, f"give one of path, points, surface, forces{given}"
         own: Sequence[Any] = table.points or [table] * bool(table.surface)
         yield from _check_uncertainty("uncertainty", table.uncertainty, own, loc)
         if table.forces:

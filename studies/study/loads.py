@@ -212,10 +212,8 @@ class Contact(Constraint):
         return Acts(pressure=shape * (self.pressure or 0.0))
 
     def faults(self, region: frozenset[str]) -> Iterator[tuple[Loc, str]]:
-        if self.pressure is not None and self.force is not None:
-            yield (), "has both pressure and force; keep one"
-        if self.pressure is None and self.force is None:
-            yield (), "a contact needs either pressure or force"
+        if (self.pressure is None) == (self.force is None):
+            yield (), "give either pressure or force"
         if self.profile in PROFILES and region and region - {"cavity"} not in ({"cap"}, {"ball"}):
             told = f"a {self.profile} profile needs a region that is a cap or a ball and no more"
             yield ("profile",), f'{told}, and "{self.region}" has {listed(set(region))}'
@@ -300,10 +298,9 @@ class Indenter(Constraint):
 
     def faults(self, region: frozenset[str]) -> Iterator[tuple[Loc, str]]:  # noqa: ARG002
         for key in ("length", "along"):
-            if self.shape == "capsule" and getattr(self, key) is None:
-                yield (key,), "is missing; a capsule needs length and along"
-            if self.shape != "capsule" and getattr(self, key) is not None:
-                yield (key,), f"belongs to a capsule, not to a {self.shape}; leave it out"
+            if (getattr(self, key) is None) == (self.shape == "capsule"):
+                missing = self.shape == "capsule"
+                yield (key,), "is missing; a capsule needs it" if missing else "is of a capsule; leave it out"
 
 
 KINDS: dict[str, type[Constraint]] = Constraint.kinds
