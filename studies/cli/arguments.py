@@ -132,6 +132,11 @@ def option(*words: str, **how: Any) -> Option:
     return words, how
 
 
+def output(word: str, what: str, told: str, **how: Any) -> Option:
+    """One that names a place to write to."""
+    return option(word, type=place, metavar=what, help=told, **how)
+
+
 def flag(word: str, told: str) -> Option:
     """One that is there or not."""
     return option(word, action="store_true", help=told)
@@ -150,11 +155,8 @@ STUDY_READS = (
         metavar="FILE",
         help="use this surface (STL, OBJ, PLY, VTP) as the geometry; names the study NAME-FILE",
     ),
-    option(
-        "--cache",
-        type=place,
-        metavar="DIR",
-        help="where meshes and answers are kept (default VDMBENCH_CACHE, else results/cache)",
+    output(
+        "--cache", "DIR", "where meshes and answers are kept (default VDMBENCH_CACHE, else results/cache)"
     ),
 )
 CHANGES = option(
@@ -167,11 +169,10 @@ CHANGES = option(
 )
 CASE = option("--case", type=positive, default=1, metavar="N", help="of a sweep the N-th case (default 1)")
 RUNS = (
-    option(
+    output(
         "--out",
-        type=place,
-        metavar="DIR",
-        help="run directory (default results/runs/NAME; another --surface of the same file name needs its own)",
+        "DIR",
+        "run directory (default results/runs/NAME; another --surface of the same file name needs its own)",
     ),
     option(
         "--jobs",
@@ -182,6 +183,4 @@ RUNS = (
 )
 PLANS = (study_argument(), *STUDY_READS, CHANGES, *RUNS, flag("--fresh", "run every case again"))
 RUN = option("directory", metavar="DIR", help="run directory")
-BASELINE = option(
-    "--baseline", type=place, metavar="FILE", help="baseline (default results/baselines/STUDY.json)"
-)
+BASELINE = output("--baseline", "FILE", "baseline (default results/baselines/STUDY.json)")

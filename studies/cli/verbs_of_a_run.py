@@ -19,7 +19,7 @@ from .arguments import (
     STUDY_READS,
     flag,
     option,
-    place,
+    output,
     run_directory,
     study_argument,
     verb,
@@ -62,9 +62,7 @@ _MARKS |= {"better": "better", "newly passing": "passes", "new": "new"}
     "report",
     "rebuild the report from the stored results",
     RUN,
-    option(
-        "--picture", type=place, metavar="FILE", help="write a PNG of reference, model and difference too"
-    ),
+    output("--picture", "FILE", "write a PNG of reference, model and difference too"),
 )
 def report_run(options: argparse.Namespace) -> int:
     """Rebuild the report of a directory."""
@@ -84,8 +82,8 @@ def report_run(options: argparse.Namespace) -> int:
     RUN,
     BASELINE,
     flag("--allow-missing", "compare what is there; by default what is missing or not comparable is 6"),
-    option("--junit", type=place, metavar="FILE", help="write JUnit XML too"),
-    option("--markdown", type=place, metavar="FILE", help="write a summary in Markdown too"),
+    output("--junit", "FILE", "write JUnit XML too"),
+    output("--markdown", "FILE", "write a summary in Markdown too"),
 )
 def gate_run(options: argparse.Namespace) -> int:
     """Compare a run with its baseline."""
@@ -301,7 +299,7 @@ def _mapping(foreign: Foreign) -> str:
     "write a run's tables, figures and meshes, or a study's scene for other programs",
     study_argument(", or a run directory"),
     *STUDY_READS,
-    option("--to", type=place, required=True, metavar="OUT", help="a new or an empty directory"),
+    output("--to", "OUT", "a new or an empty directory", required=True),
     CASE,
 )
 def export_files(options: argparse.Namespace) -> int:

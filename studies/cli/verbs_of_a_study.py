@@ -18,7 +18,7 @@ from .arguments import (
     STUDY_READS,
     flag,
     option,
-    place,
+    output,
     positive_seconds,
     shard,
     study_argument,
@@ -96,9 +96,7 @@ def _files(text: str, directory: Path) -> dict[str, Path]:
     study_argument(),
     *STUDY_READS,
     CHANGES,
-    option(
-        "--save", type=place, metavar="PNG", help="the picture (default NAME-scene.png in this directory)"
-    ),
+    output("--save", "PNG", "the picture (default NAME-scene.png in this directory)"),
     CASE,
 )
 def show_scene(options: argparse.Namespace) -> int:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..machine import cache_directory
 from ..study.errors import InputError
-from .arguments import RUNS, STUDY_READS, option, place, study_argument, verb
+from .arguments import RUNS, STUDY_READS, option, output, study_argument, verb
 from .output import FAILED, OK, complain_of_failures, folded, print_json, print_table, tell
 from .studies import check_files, command_of, load, make_plan, plan_of, run_missing
 
@@ -20,7 +20,7 @@ from .studies import check_files, command_of, load, make_plan, plan_of, run_miss
         "?",
     ),
     *STUDY_READS,
-    option("--out", type=place, metavar="DIR", help="where its run directories are (default results/runs)"),
+    output("--out", "DIR", "where its run directories are (default results/runs)"),
     RUNS[1],
 )
 def run_benchmark(options: argparse.Namespace) -> int:
@@ -75,8 +75,8 @@ def bodies_to_measure(study: str | None, surface: Path | None) -> list[tuple[str
         metavar="FILE",
         help="judge what was measured before, in place of measuring",
     ),
-    option("--out", type=place, metavar="FILE", help="write what was measured as CSV, a line a row and case"),
-    option("--cache", type=place, metavar="DIR", help="where meshes are kept"),
+    output("--out", "FILE", "write what was measured as CSV, a line a row and case"),
+    output("--cache", "DIR", "where meshes are kept"),
 )
 def try_claims(options: argparse.Namespace) -> int:
     """Measure, or read, and print a line for each claim; of claims that are named every row."""
