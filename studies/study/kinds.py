@@ -98,10 +98,14 @@ positive = number_check(lambda v: v > 0, "must be positive")
 not_negative = number_check(lambda v: v >= 0, "must be positive or zero")
 
 
-def within(unit: str, low: float, high: float) -> AfterValidator:
-    """Bounds of a quantity in SI `unit`, outside of which a unit is likelier to be mixed up."""
-    told = f"must lie between {low:g} and {high:g} {unit} (a mixed-up unit? a bare number is in {unit}: write"
-    return number_check(lambda v: low <= v <= high, f'{told} "{DIMENSIONS[unit][1]}")')
+def within(low: float, high: float, unit: str = "") -> AfterValidator:
+    """Bounds of a number; of a quantity in SI `unit`, outside of which a unit is likelier to be mixed up."""
+    mixed = (
+        f' {unit} (a mixed-up unit? a bare number is in {unit}: write "{DIMENSIONS[unit][1]}")'
+        if unit
+        else ""
+    )
+    return number_check(lambda v: low <= v <= high, f"must lie between {low:g} and {high:g}{mixed}")
 
 
 def is_safe_name(value: Any) -> TypeGuard[str]:
@@ -146,7 +150,7 @@ def _as_share(value: Any) -> Any:
 Plain = Annotated[float, SI("1")]
 Plains = Annotated[tuple[float, ...], SI("1", 0)]
 Ratio = Annotated[float, SI("1"), positive]
-Fraction = Annotated[float, SI("1"), number_check(lambda v: 0 <= v <= 1, "must lie between 0 and 1")]
+Fraction = Annotated[float, SI("1"), within(0, 1)]
 Coordinate = Annotated[float, SI("m")]
 Length = Annotated[float, SI("m"), positive]
 Lengths = Annotated[Vector3, SI("m", 3), positive]

@@ -56,7 +56,7 @@ from .measured import MOST_TABLES, Measured
 from .registry import SCANNED, Parameter, all_models, own_parameters
 from .shapes import Geometry
 
-YoungsModulus = Annotated[float, SI("Pa"), within("Pa", 10, 1e10)]
+YoungsModulus = Annotated[float, SI("Pa"), within(10, 1e10, "Pa")]
 PoissonRatio = Annotated[
     float,
     SI("1"),
@@ -71,7 +71,7 @@ class Tissue(Table):
 
     youngs_modulus: YoungsModulus = Key("Young's modulus")
     poisson_ratio: PoissonRatio = Key("Poisson's ratio, at most 0.5; surface models keep the volume")
-    density: Annotated[float, SI("kg/m^3"), within("kg/m^3", 10, 1e5)] = Key(
+    density: Annotated[float, SI("kg/m^3"), within(10, 1e5, "kg/m^3")] = Key(
         "mass density; only gravity uses it", 1060.0
     )
     law: Literal["neo-hookean", "mooney-rivlin", "yeoh", "fung", "ogden"] | None = Key(
@@ -250,7 +250,7 @@ class Cap(Table):
     """Nodes within a cone, seen from the centroid of the body"""
 
     direction: Direction = Key("axis of the cone, of any length")
-    angle: Annotated[float, SI("rad"), positive, within("rad", 0, math.pi)] = Key("half of the opening angle")
+    angle: Annotated[float, SI("rad"), positive, within(0, math.pi, "rad")] = Key("half of the opening angle")
 
 
 class Places(Table):

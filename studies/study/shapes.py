@@ -16,6 +16,7 @@ from pydantic import PlainValidator
 
 from .errors import MeshError
 from .kinds import (
+    SI,
     Enters,
     Key,
     Length,
@@ -24,6 +25,7 @@ from .kinds import (
     Ratio,
     as_path,
     number_check,
+    within,
 )
 from .registry import load_all
 
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
 Extents = tuple[float, float, float]
 VOLUME_SUFFIXES = (".msh", ".vtu", ".vtk")
 CAVITIES = "what its cavities hold: nothing, or an incompressible fluid that keeps the volume of each"
-LEAST_SLIVERS, MOST_PERTURBATION = 2.0, 0.5
+Slivers = Annotated[float, SI("1"), number_check(lambda v: v >= 2, "must be at least 2")]
 
 
 class Geometry(OneOf):
@@ -51,16 +53,12 @@ class Geometry(OneOf):
 
     shape: str = Key("kind of body")
     mesh_size: Length | None = Key("edge length of the mesh; only a file with tetrahedra does without", None)
-    slivers: (
-        Annotated[Ratio, number_check(lambda v: v >= LEAST_SLIVERS, f"must be at least {LEAST_SLIVERS:g}")]
-        | None
-    ) = Key("any shape: squeeze one facet in twenty-five until its longest edge is so many heights", None)
-    perturbation: (
-        Annotated[
-            Ratio, number_check(lambda v: v <= MOST_PERTURBATION, f"must be at most {MOST_PERTURBATION:g}")
-        ]
-        | None
-    ) = Key("any shape: move each node at random by up to this share of its shortest edge", None)
+    slivers: Slivers | None = Key(
+        "any shape: squeeze one facet in twenty-five until its longest edge is so many heights", None
+    )
+    perturbation: Annotated[Ratio, within(0, 0.5)] | None = Key(
+        "any shape: move each node at random by up to this share of its shortest edge", None
+    )
     seed: int | None = Key("of the slivers and the perturbation, 0 where left out", None, ge=0, lt=2**32)
 
     @property

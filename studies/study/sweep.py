@@ -16,8 +16,8 @@ from .errors import MOST_TOLD, Finding, Loc, Source, unknown, value_at
 from .fields import NEVER_AN_INPUT, Target, targets
 from .files import without_folders
 from .kinds import Table
-from .schema import Known, Range, Study
-from .units import shown, type_name
+from .schema import Known, Range, Study, Sweep
+from .units import shown, to_si, type_name
 
 Value = float | str
 T = TypeVar("T")
@@ -84,7 +84,9 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
         return [], []
-    known = targets(data) if sweep.keys() - _OWN else {}  # slow, and every case of a sweep is asked
+    known = (
+        targets(data) if sweep.keys() - Sweep.model_fields.keys() else {}
+    )  # slow, and every case of a sweep is asked
 
     def axis(key: str, loc: Loc, value: Any) -> Axis:
         if key not in known:
@@ -92,13 +94,10 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
             raise EntryError(f"{told} (an axis is the path of a key of the study)")
         return _axis(key, loc, known[key], value, sampled=sweep.get("mode") == _HYPERCUBE)
 
-    entries = {key: value for key, value in sweep.items() if key not in _OWN}
+    entries = {key: value for key, value in sweep.items() if key not in Sweep.model_fields}
     axes, findings = _entries("sweep", entries, axis, known, Range)
     findings += _check_mode(sweep, list(axes.values()), complete=not findings)
     return list(axes.values()), findings
-
-
-_OWN = frozenset(("mode", "samples", "seed"))  # keys of [sweep] that are no axes
 
 
 def _entries(
@@ -172,11 +171,9 @@ def _value(target: Target, value: Any, *inside: str | int) -> Value:
     """One value in SI. Raises EntryError."""
     if target.si is not None:
         try:
-            number = target.si.read(value)
+            return to_si(value, target.unit)
         except ValueError as error:
             raise EntryError(str(error), *inside) from None
-        if isinstance(number, float):
-            return number
     if isinstance(value, bool) or not isinstance(value, int | str):
         raise EntryError(f"must be a text or a whole number, not {type_name(value)}", *inside)
     return value
