@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from tests.command import vdmbench
-from tests.comparing import compare
 from tests.in_process import do_cases
 from vdm.material import Parameters
 from vdmbench import gate
@@ -23,6 +22,7 @@ from vdmbench.models import run_model
 from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_case, read_run
 from vdmbench.study.config import expand, load_study
+from vdmbench.work import case
 from vdmbench.work.plan import make_plan
 
 ROOT = Path(__file__).parents[2]
@@ -64,9 +64,8 @@ def test_a_model_made_worse_by_a_tenth_turns_the_gate_red(
     few = study.study.model_copy(update={"models": ("vdm-vector", "bem", "fem")})
     study = study.model_copy(update={"study": few})
     plan = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
-    (case,) = plan.cases
     do_cases(plan)
-    run = Run(study, "", [read_case(plan.case_file(case))], [], [], {})
+    run = Run(study, "", [read_case(plan.case_file(plan.cases[0]))], [], [], {})
     findings = gate.compare(run, gate.read_baseline(ROOT / "results" / "baselines" / "regression.json"))
     assert gate.regressed(findings)
     hit = {f.model for f in findings if f.outcome in gate.REGRESSED}
@@ -80,7 +79,12 @@ def test_rounding_is_far_within_the_tolerance() -> None:
     mesh = build_mesh(study.geometry)
     names = study.study.models
     first, other = (
-        compare(scene, {name: run_model(scene, name) for name in names}, study.study.reference)
+        case.compare(
+            case.loaded_surface(scene),
+            {name: run_model(scene, name) for name in names},
+            scene.load_factors,
+            study.study.reference,
+        )
         for scene in (build_scene(study, mesh), build_scene(study, _shuffled(mesh)))
     )
     for name in names:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from fem_reference.linear import LinearProblem, Load
 from solver_common.quadrature import facet_quadrature
 from tests.bodies import shaped
 from tests.work.shared_work import TABLES, plan_of, run
@@ -120,7 +119,7 @@ def test_groups_come_from_the_mesh(sphere: Mesh) -> None:
         nodes(marked, {"group": "hook"})
 
 
-# --- the load is the same for every model ---
+# --- the load is the same for every model; what each does with it: test_springs_and_forces ---
 
 
 LOADS = [
@@ -133,31 +132,19 @@ LOADS = [
 
 
 @pytest.mark.parametrize("constraints", LOADS, ids=lambda c: "-".join(map(str, c[1].values())))
-def test_both_models_get_the_same_resultant(sphere: Mesh, constraints: list[dict[str, Any]]) -> None:
+def test_nodes_and_facets_get_the_same_resultant(sphere: Mesh, constraints: list[dict[str, Any]]) -> None:
     scene = build_scene(study(constraints=constraints), sphere)
     exact = exact_resultant(scene)
     assert np.linalg.norm(exact) > 0.05
     assert exact[2] < 0, "a finger on top pushes down"
     assert constraints[1].get("force") in (None, pytest.approx(np.linalg.norm(exact), rel=1e-12))
-    # VDM: nodal forces; the nodal pressures have the same thrust
+    # nodal forces; the nodal pressures have the same thrust
     assert_allclose(scene.contact_force.sum(axis=0), exact, rtol=1e-12, atol=1e-15)
     _, weights = facet_quadrature()
     areas = np.linalg.norm(facet_area_vectors(sphere.surface_points, sphere.triangles), axis=1)
     nodal_areas = nodal_sum(areas, sphere.triangles, len(scene.fixed))
     thrust = areas @ (scene.facet_pressure @ weights)
     assert_allclose(nodal_areas @ scene.contact_pressure, thrust, rtol=1e-12, atol=0)
-    # FEM: what the supports give back
-    problem = LinearProblem(
-        sphere.points,
-        sphere.tetrahedra,
-        sphere.surface_nodes,
-        sphere.triangles,
-        youngs_modulus=5000.0,
-        poisson_ratio=0.49,
-        held=scene.held,
-    )
-    solution = problem.solve([Load(scene.facet_pressure, scene.prescribed, scene.gravity)])
-    assert_allclose(solution.reaction_force[0].sum(axis=0), -exact, rtol=1e-9, atol=1e-12)
 
 
 def test_a_contact_all_around_has_no_resultant_to_be_given(sphere: Mesh) -> None:

@@ -38,8 +38,6 @@ FORMS = {
     "vector, stretch": ("vector", Parameters(surface_tension=200.0, stretch_stiffness=10.0)),
 }
 WITH_ENERGY = [name for name in FORMS if not name.startswith("paper")]
-# turned as a whole, these neither store energy nor push
-FREE = ["vector", "vector, stretch", "bem", "mass-spring"]
 
 
 @pytest.fixture
@@ -69,28 +67,6 @@ def test_the_force_is_the_gradient_of_the_energy(form):
     slope, force = slope_and_force(form)
     # fourth-order differences: what they leave out is of the order of (1e-5 / edge length)^4
     assert_allclose(force, slope, rtol=1e-8, atol=0.0)
-
-
-@pytest.mark.parametrize("form", FREE, indirect=True)
-def test_the_internal_force_turns_with_the_body_and_has_no_moment(form):
-    rng = np.random.default_rng(2)
-    u = 0.003 * rng.standard_normal(POINTS.shape)
-    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    turn *= np.linalg.det(turn)
-    state = DEFORMABLE.at(u)
-    moved = state.positions @ turn - DEFORMABLE.rest + [0.1, -0.2, 0.05]
-    turned = DEFORMABLE.at(moved)
-    force = form.deformed_internal_force(u, state)
-    assert_allclose(form.deformed_energy(moved, turned), form.deformed_energy(u, state), rtol=1e-10, atol=0.0)
-    assert_allclose(
-        form.deformed_internal_force(moved, turned), force @ turn, rtol=0.0, atol=1e-10 * np.abs(force).max()
-    )
-    assert_allclose(force.sum(axis=0), 0.0, rtol=0.0, atol=1e-11 * np.abs(force).sum())
-    moments = np.cross(state.positions, force)
-    assert_allclose(moments.sum(axis=0), 0.0, rtol=0.0, atol=1e-11 * np.abs(moments).sum())
-    # nothing but turned: no energy, beside that of a stretch of the same size
-    rigid = DEFORMABLE.rest @ turn - DEFORMABLE.rest
-    assert abs(form.deformed_energy(rigid, DEFORMABLE.at(rigid))) < 1e-11 * form.deformed_energy(u, state)
 
 
 @pytest.mark.parametrize("formulation", ["consistent", "vector", "bem"])
