@@ -91,7 +91,7 @@ def check_fit(plan: Plan) -> None:
     check(plan)
     study = plan.cases[0].study  # which has what is swept, as all cases have
     for name in filter(is_surface, study.study.models):
-        to_fit(name, study.vdm_parameters(), study.model_parameters())
+        to_fit(name, study.vdm.given(), study.model_parameters())
 
 
 def count_of_training(plan: Plan) -> int:

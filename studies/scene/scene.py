@@ -215,7 +215,7 @@ def build_scene(
     return Scene(
         mesh=mesh,
         tissue=study.tissue,
-        parameters=study.vdm_parameters(),
+        parameters=study.vdm.given(),
         overrides=study.model_parameters(),
         regions=masks,
         fixed=fixed,

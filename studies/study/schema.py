@@ -463,10 +463,6 @@ class Study(Table):
         copy._cases = None
         return copy
 
-    def vdm_parameters(self) -> Vdm:
-        """The parameters of [vdm] that are set."""
-        return self.vdm.given()
-
     def model_parameters(self) -> dict[str, Vdm]:
         """What [models."NAME"] overrides, by full model name."""
         return {name: table.given() for name, table in sorted(self.models.items())}

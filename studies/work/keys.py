@@ -128,7 +128,7 @@ def has_weight(study: Study) -> bool:
 
 def has_penalty(study: Study, name: str) -> bool:
     """Whether a model holds its supports by a penalty, as printed."""
-    given = {**study.vdm_parameters(), **study.model_parameters().get(name, {})}
+    given = {**study.vdm.given(), **study.model_parameters().get(name, {})}
     return "penalty" in given and "penalty" in models.reads(name)
 
 

@@ -26,7 +26,7 @@ def test_every_value_is_in_si(tmp_path: Path) -> None:
     assert study.geometry.radius == 0.05
     assert study.tissue.youngs_modulus == 5000.0
     assert study.tissue.density == 1060.0
-    assert study.vdm_parameters() == {
+    assert study.vdm.given() == {
         "bulk_modulus": 10.0,
         "foundation": 1e6,
         "surface_tension": 58.0,
@@ -61,7 +61,7 @@ def test_what_is_left_out_has_its_default(tmp_path: Path) -> None:
     assert study.constraints[1].profile == "uniform"
     assert study.constraints[0].profile is None
     assert (study.gravity, study.environment, study.anisotropy, study.uncertainty) == (None, None, None, None)
-    assert study.vdm_parameters() == {}
+    assert study.vdm.given() == {}
 
 
 @pytest.mark.parametrize(
