@@ -8,7 +8,7 @@ plan          the cases of a study, what each wants, and what is there
 tasks         the work that is missing, each piece after those that it needs
 pool          does tasks in processes here, or on a cluster (cluster)
 worker        what each kind of task does; of a case (case), of its limits (small_strain)
-cache         answers and limits as files under their keys
+cache         answers as files under their keys
 run           a plan done: locks, tasks, failures, report
 explain, scene_check   what a plan says, refuses, and doubts
 provenance    where a case comes from
