@@ -107,13 +107,12 @@ def against_limits(verdicts: Verdicts, digest: Digest) -> Table | None:
 def _limit(limit: Limit) -> Cell:
     if not math.isfinite(limit.value):
         return Cell("no answer", tone="bad")
-    bar = f" ± {measure(limit.bar, limit.unit)}" if math.isfinite(limit.bar) else ""
     cases = sum(limit.counts.values())
     told = [
         f"{n} of {cases} {what}" for what, n in limit.counts.items() if what != "within" and 0 < n < cases
     ]
     about = "\n".join([*told, *([limit.case] if limit.case else [])])
-    return Cell(f"{measure(limit.value, limit.unit)}{bar}", about, limit.value, TONES.get(limit.word, ""))
+    return Cell(measure(limit.value, limit.unit, limit.bar), about, limit.value, TONES.get(limit.word, ""))
 
 
 # --- every model ---

@@ -134,20 +134,22 @@ def colour(model: int) -> str:
     return REFERENCE_COLOUR if model == REFERENCE else MODELS[model % COLOURS]
 
 
-def marker(model: int) -> str:
-    """Marker of a model: differs where colours may not be told apart, and where models share one."""
-    return "o" if model == REFERENCE else MARKERS[shape(model)]
-
-
 def shape(model: int) -> int:
     """Which of the markers a model has."""
     return (model + model // COLOURS) % len(MARKERS)
 
 
-def line(model: int) -> str:
-    """Line style of a model: solid for as long as the palette lasts."""
+def look(model: int) -> dict[str, str]:
+    """Colour, marker and line of a model: markers differ where colours may not be told apart, or are shared.
+
+    A line is solid for as long as the palette lasts.
+    """
     again = max(model, 0) // COLOURS
-    return LINES[1 + (again - 1) % 3] if again else LINES[0]
+    return {
+        "color": colour(model),
+        "marker": "o" if model == REFERENCE else MARKERS[shape(model)],
+        "linestyle": LINES[1 + (again - 1) % 3] if again else LINES[0],
+    }
 
 
 def shortened(text: str, most: int = 22) -> str:
@@ -232,14 +234,13 @@ def lines(
 
 def _draw(axes: Axes, digest: Digest, curve: Curve, gid: str) -> None:
     number = digest.colour(curve.model)
-    look = {"color": colour(number), "marker": marker(number), "linestyle": line(number), **curve.look}
     if curve.band is not None and np.any(np.not_equal(*curve.band)):
         if curve.joined:
             axes.fill_between(curve.x, *curve.band, color=colour(number), alpha=0.14, linewidth=0)
         else:
             axes.vlines(curve.x, *curve.band, color=colour(number), alpha=0.6, linewidth=1.0)
     label = f"{shortened(curve.model, 30)}{' (reference)' if curve.model == digest.reference else ''}"
-    axes.plot(curve.x, curve.y, markevery=curve.every, label=label, gid=gid, **look)
+    axes.plot(curve.x, curve.y, markevery=curve.every, label=label, gid=gid, **{**look(number), **curve.look})
 
 
 def _words(axes: Axes, digest: Digest, curve: Curve) -> list[str]:
@@ -280,14 +281,14 @@ def _legend_below(page: Canvas, axes: Axes) -> None:
 def level_line(axes: Axes, at: float, name: str, style: str, axis: str = "y") -> None:
     """A line across the chart at a value of one axis, named; none at one that is not positive or not known."""
     if at > 0.0:
-        look: Any = {"va": "bottom", "ha": "right", "fontsize": 7.0, "color": colour(REFERENCE)}
+        looks: Any = {"va": "bottom", "ha": "right", "fontsize": 7.0, "color": colour(REFERENCE)}
         if axis == "y":
             axes.axhline(at, linestyle=style, color=colour(REFERENCE), linewidth=1.0)
-            axes.text(0.995, at, name, transform=axes.get_yaxis_transform(), **look)
+            axes.text(0.995, at, name, transform=axes.get_yaxis_transform(), **looks)
         else:
             axes.axvline(at, linestyle=style, color=colour(REFERENCE), linewidth=1.0)
-            look |= {"va": "top", "rotation": 90}
-            axes.text(at, 0.99, name, transform=axes.get_xaxis_transform(), **look)
+            looks |= {"va": "top", "rotation": 90}
+            axes.text(at, 0.99, name, transform=axes.get_xaxis_transform(), **looks)
 
 
 def from_origin(axes: Axes) -> None:

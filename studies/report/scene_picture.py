@@ -25,9 +25,9 @@ from matplotlib.patches import Patch
 from solver_common.arrays import Array
 
 from ..body.surface_measures import facet_area_vectors
-from ..verdict.formatting import plain, scale_of
+from ..verdict.formatting import plain, round_below, scale_of
 from .picture import directions, drawn
-from .plots import INK, STYLE, svg_of
+from .plots import INK, STYLE, shortened, svg_of
 
 # kind of a constraint -> (what it is called, colour); told apart by colour-blind readers, on light and dark ground
 KINDS = {
@@ -234,7 +234,7 @@ def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Fi
     if stage.parts or stage.outlines:
         handles = [Patch(color=part.colour, label=_legend(part)) for part in stage.parts]
         handles += [
-            Patch(color=INSIDE, label=f"inside: {_short(outline.name)}") for outline in stage.outlines
+            Patch(color=INSIDE, label=f"inside: {shortened(outline.name, 25)}") for outline in stage.outlines
         ]
         figure.legend(
             handles=handles,
@@ -259,12 +259,8 @@ def style_of(kind: str) -> tuple[str, str]:
 
 
 def _legend(part: Part) -> str:
-    name = _short(part.name)
+    name = shortened(part.name, 25)
     return f"{part.called}: {name}" if name and name != part.called else part.called
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= 25 else f"{name[:24]}…"
 
 
 def _draw_body(axes: Axes, stage: Stage) -> None:
@@ -320,8 +316,7 @@ def _arrow(axes: Axes, start: Array, end: Array, style: str, width: float, colou
 
 def _draw_scale(foot: Axes, metres: float) -> None:
     """A bar of a round length near an inch; `metres` are in an inch of the drawing."""
-    decade = 10.0 ** np.floor(np.log10(metres))
-    length = float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= metres * 1.001))
+    length = round_below(metres)
     factor, unit = scale_of("m", [length])
     left, base = 0.15, 0.14
     foot.plot([left, left + length / metres], [base, base], color=INK, linewidth=2.4, solid_capstyle="butt")

@@ -18,7 +18,7 @@ from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
 from ..verdict.digest import Digest
-from ..verdict.formatting import plain
+from ..verdict.formatting import plain, round_below
 from .blocks import Section, Still, Viewer, note
 from .picture import COLOUR_MAPS, Panel, labelled
 from .scene_picture import KINDS, Stage
@@ -155,10 +155,7 @@ def displacement_scale(case: CaseResult) -> float:
     sizes = [np.abs(result.displacement[np.isfinite(result.displacement)]) for result in case.models.values()]
     largest = max((float(size.max()) for size in sizes if size.size), default=0.0)
     wanted = 0.1 * float(np.linalg.norm(np.ptp(case.points, axis=0))) / largest if largest > 0 else 1.0
-    if wanted <= 1.0:
-        return 1.0
-    decade = 10.0 ** np.floor(np.log10(wanted))
-    return float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= wanted))
+    return max(round_below(wanted), 1.0)
 
 
 def _regions(case: CaseResult) -> list[dict[str, object]]:

@@ -66,11 +66,6 @@ def short_percent(ratio: float) -> str:
     return f"{plain(100.0 * ratio, 2 if abs(ratio) < 1.0 else 3)} %"
 
 
-def with_bar(value: float, bar: float) -> str:
-    """`39.7 % ± 2 %`, without the bar where that is not known."""
-    return f"{short_percent(value)} ± {short_percent(bar)}" if math.isfinite(bar) else short_percent(value)
-
-
 def scale_of(unit: str, values: Iterable[float], digits: int = 3) -> tuple[float, str]:
     """(factor, shown unit) that suits the largest of some SI values to some digits: shown = SI / factor."""
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
@@ -97,16 +92,19 @@ def of_unit(value: float, unit: str) -> str:
     return percent(value) if unit == "1" else quantity(value, unit)
 
 
-def measure(value: float, unit: str) -> str:
-    """A number as it is read against a limit."""
-    return short_percent(value) if unit == "1" else quantity(value, unit)
+def measure(value: float, unit: str = "1", bar: float = math.nan) -> str:
+    """A number as it is read against a limit: `39.7 % ± 2 %`, without the bar where that is not known."""
+    text = short_percent(value) if unit == "1" else quantity(value, unit)
+    return f"{text} ± {measure(bar, unit)}" if math.isfinite(bar) else text
 
 
-def load_in_words(load: float, unit: str) -> str:
-    """A force in newtons, a pressure in the unit that suits it, else a share of the full load."""
-    if unit == "1":
-        return "the full load" if load == 1.0 else f"{load:.3g} of the full load"
-    return span([load], unit, 3)
+def loads_in_words(loads: Sequence[float], unit: str) -> str:
+    """Forces in newtons, pressures in the unit that suits them, else shares of the full load: `0.1 to 0.4 N`."""
+    if unit != "1":
+        return span(loads, unit, 3)
+    if loads[-1] == loads[0] == 1.0:
+        return "the full load"
+    return f"{' to '.join(dict.fromkeys(f'{load:.3g}' for load in loads))} of the full load"
 
 
 def span(values: Sequence[float], unit: str, digits: int = 4) -> str:
@@ -124,6 +122,12 @@ def lengths(values: Sequence[float]) -> str:
     """`100 × 80 × 40 mm`."""
     factor, unit = scale_of("m", values)
     return f"{' × '.join(plain(float(value) / factor, 2) for value in values)} {unit}"
+
+
+def round_below(value: float) -> float:
+    """The largest of 1, 2 and 5 times a power of ten that is not above a positive value."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= value * 1.001)
 
 
 def swept_value(value: float | str, unit: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -90,25 +90,16 @@ def _templates(file: Path) -> Any:
         "short": f.short_percent,
         "amount": f.quantity,
         "measure": f.measure,
-        "bar": f.with_bar,
+        "bar": lambda value, bar: f.measure(value, bar=bar),
         "plain": f.plain,
         "listed": f.listed,
         "first_of": f.first_of,
         "count": f.plural,
         "capital": f.capital,
-        "load": f.load_in_words,
-        "loads": _loads,
+        "loads": f.loads_in_words,
         "span": lambda values, unit="1", digits=4: f.span(values, unit, digits),
         "mm": lambda metres: f"{f.plain(1e3 * metres, 2)} mm",
         "lengths": f.lengths,
         "degrees": lambda angle: f"{math.degrees(angle):.0f}°",
     }
     return environment.get_template(file.name).module
-
-
-def _loads(ends: Iterable[float], unit: str) -> str:
-    """`0.1 to 0.4 N`."""
-    least, most = ends
-    if unit == "1" and least < most:
-        return f"{least:.3g} to {most:.3g} of the full load"
-    return f.span([least, most], unit, 3) if unit != "1" else f.load_in_words(most, unit)

@@ -15,7 +15,7 @@ from vdmbench.cli.output import WIDTH, print_run, print_table
 from vdmbench.measures.case import Run
 from vdmbench.report.page import page_html
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.formatting import with_bar
+from vdmbench.verdict.formatting import measure
 from vdmbench.verdict.verdict import verdicts
 from vdmbench.verdict.words import told
 
@@ -46,7 +46,7 @@ def test_page_terminal_json_and_notebook_say_the_same(capsys: pytest.CaptureFixt
     assert len(words["rows"]) == 2
     for row, one in zip(words["rows"], found.asked, strict=True):
         assert one.figures is not None
-        number = with_bar(one.figures.value, one.figures.bar)
+        number = measure(one.figures.value, bar=one.figures.bar)
         assert f"{row['title']}: {row['word']}. {row['text']}" in terminal
         assert f"{one.figures.lead} {number}" in row["numbers"]
         assert f"{row['title']} {row['word']} {one.model} {' '.join(row['numbers'])}" in page

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import itertools
 
-from vdmbench.report.plots import colour, line, marker
+from vdmbench.report.plots import look
 from vdmbench.study.registry import all_models
 from vdmbench.verdict.palette import COLOURS, places
 
 
-def looks(names: list[str]) -> dict[str, tuple[str, str, str]]:
-    return {name: (colour(k), marker(k), line(k)) for name, k in places(names).items()}
+def looks(names: list[str]) -> dict[str, tuple[str, ...]]:
+    return {name: tuple(look(k).values()) for name, k in places(names).items()}
 
 
 def test_a_look_hangs_on_the_name_and_on_nothing_else_of_the_study() -> None:
@@ -30,4 +30,4 @@ def test_no_two_models_of_a_study_look_alike() -> None:
     assert len(set(places(names).values())) == len(names), "some of the thirty hashes collide"
     assert len(set(looks(names[-18:]).values())) == 18
     for a, b in itertools.combinations(range(COLOURS**2), 2):
-        assert (colour(a), marker(a)) != (colour(b), marker(b)), "told apart without a line too"
+        assert {**look(a), "linestyle": ""} != {**look(b), "linestyle": ""}, "told apart without a line too"
