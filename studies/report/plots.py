@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 from solver_common.arrays import Array
 
 from ..verdict.digest import REFERENCE, Digest
-from ..verdict.formatting import listed, plain, short_percent, span
+from ..verdict.formatting import listed, plain, span
 from ..verdict.palette import COLOURS
 from .blocks import Figure
 
@@ -182,12 +182,6 @@ class Curve:
         """Of its points every how manieth is marked."""
         return max(1, math.ceil(np.size(self.x) / _MOST_MARKED)) if self.joined else 1
 
-    def ends(self) -> Array:
-        """From where to where its y go: the range of the band, else the first and the last."""
-        if self.band is None:
-            return np.asarray(self.y)[[0, -1]]
-        return np.array([np.min(self.band[0]), np.max(self.band[1])])
-
 
 def lines(
     digest: Digest,
@@ -198,17 +192,15 @@ def lines(
     salt: str,
     *,
     finish: Callable[[Axes], object] = lambda _: None,
-    shown: Callable[[float], str] = short_percent,
-    told: Callable[[Curve], str] | None = None,
 ) -> Figure:
     """A chart of a curve a model, which says in words from where to where each goes.
+
+    A unit in brackets at the end of a label stands beside the numbers of its axis.
 
     Parameters
     ----------
     salt : makes the ids of the drawing its own on a page
     finish : sets scales and adds what is no model's; called when all curves are drawn
-    shown : a number on the y axis as a text
-    told : what is said of a curve instead of where its y axis begins and ends
     """
     with rc_context(STYLE):
         page = Canvas(figsize=(_WIDTH, _HEIGHT))
@@ -223,13 +215,8 @@ def lines(
         _legend_below(page, axes)
         name_curves(axes)
         words = [_words(axes, digest, curve) for curve in curves]
-
-        def ends(curve: Curve) -> str:
-            found = dict.fromkeys(shown(float(y)) for y in curve.ends())
-            return f"{'from ' if len(found) > 1 else ''}{' to '.join(found)}"
-
-        alt = listed(f"{curve.model} {(told or ends)(curve)}" for curve in curves)
-        return Figure(svg_of(page, f"{title}: {alt}.", salt, words), title)
+        ends = listed(f"{curve.model} {_ends(axes, curve)}" for curve in curves)
+        return Figure(svg_of(page, f"{title}: {ends}.", salt, words), title)
 
 
 def _draw(axes: Axes, digest: Digest, curve: Curve, gid: str) -> None:
@@ -246,20 +233,30 @@ def _draw(axes: Axes, digest: Digest, curve: Curve, gid: str) -> None:
 def _words(axes: Axes, digest: Digest, curve: Curve) -> list[str]:
     """Of each point that is marked: whose it is, its case, and where it is."""
     cases = [digest.case_name(digest.cases[k]) for k in curve.cases or ()]
-    found = []
-    for k in range(0, np.size(curve.x), curve.every):
-        places = (axes.yaxis, float(np.asarray(curve.y)[k])), (axes.xaxis, float(np.asarray(curve.x)[k]))
-        numbers = " at ".join(filter(None, (_on_axis(*place) for place in places)))
-        found.append("\n".join([curve.model, *cases[k : k + 1], numbers]))
-    return found
+    marked = range(0, np.size(curve.x), curve.every)
+    return ["\n".join([curve.model, *cases[k : k + 1], _place(axes, curve, k)]) for k in marked]
+
+
+def _ends(axes: Axes, curve: Curve) -> str:
+    """From where to where a curve goes, in words."""
+    ends = dict.fromkeys(_place(axes, curve, k) for k in (0, -1))
+    return f"{'from ' if len(ends) > 1 else ''}{' to '.join(ends)}"
+
+
+def _place(axes: Axes, curve: Curve, k: int) -> str:
+    """`10 % at 0.45`."""
+    values = (axes.yaxis, np.asarray(curve.y)[k]), (axes.xaxis, np.asarray(curve.x)[k])
+    return " at ".join(filter(None, (_on_axis(axis, float(value)) for axis, value in values)))
 
 
 def _on_axis(axis: Axis, value: float) -> str:
-    """A value as its axis writes it, to three digits; nothing on an axis of names."""
+    """A value as its axis writes it, with the unit of its label; nothing on an axis of names."""
     formatter = axis.get_major_formatter()
     if isinstance(formatter, FixedFormatter):
         return ""
-    return formatter(value) if isinstance(formatter, FuncFormatter) else plain(value)
+    text = formatter(value) if isinstance(formatter, FuncFormatter) else plain(value, 4)
+    _, bracket, unit = axis.get_label_text().partition(" [")
+    return f"{text} {unit[:-1]}" if bracket else text
 
 
 def _legend_below(page: Canvas, axes: Axes) -> None:

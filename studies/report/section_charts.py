@@ -18,7 +18,7 @@ from ..measures.metrics import DEFORMATION, VECTOR
 from ..measures.pushed import Answer, Pushed
 from ..verdict.acceptance import name_of, pushes
 from ..verdict.digest import DRIFT, REFERENCE, Digest, frame_of, median_known
-from ..verdict.formatting import listed, parameter_name, quantity, scale_of, short_percent, swept_value
+from ..verdict.formatting import parameter_name, scale_of, swept_value
 from .blocks import Block, Figure, Figures, Section, note
 from .plots import (
     Curve,
@@ -253,14 +253,9 @@ def _force_chart(
     number = digest.place[case.hash]
     curves = [Curve(name, x / length, y / load, [number] * len(x)) for name, (x, y) in known.items()]
 
-    def told(curve: Curve) -> str:
-        x, y = known[curve.model]
-        last = int(np.argmax(np.abs(x)))
-        return f"{quantity(float(y[last]), pushed.unit)} at {quantity(float(x[last]), 'm')}"
-
     labels = f"{depth} [{length_unit}]", f"{force} [{load_unit}]"
     title = f"{force.capitalize()} against {depth}, {place}"
-    return replace(lines(digest, curves, *labels, title, salt, finish=from_origin, told=told), title=place)
+    return replace(lines(digest, curves, *labels, title, salt, finish=from_origin), title=place)
 
 
 BUDGETS = {
@@ -300,13 +295,9 @@ def _pareto(digest: Digest, metric: str, parts: Sequence[Sequence[CaseResult]], 
         time_axis(axes)
         percent_axis(axes, [*np.concatenate([curve.y for curve in curves]), digest.allowed(metric)])
 
-    def told(curve: Curve) -> str:
-        pairs = zip(np.asarray(curve.x), np.asarray(curve.y), strict=True)
-        return listed(f"{quantity(time, 's')} per frame at {short_percent(error)}" for time, error in pairs)
-
     title = QUANTITIES[metric]
     heading = f"Run time against {title.lower()}"
-    return lines(digest, curves, "time of a frame", title, heading, salt, finish=finish, told=told)
+    return lines(digest, curves, "time of a frame", title, heading, salt, finish=finish)
 
 
 def _time_and_error(

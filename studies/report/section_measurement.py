@@ -177,7 +177,6 @@ def _figures(digest: Digest, case: CaseResult, found: Measurement, number: int) 
             f"{title} (bars: ± u_D) and simulated",
             f"measured{number}-{force_of or 'points'}",
             finish=partial(_draw_measured, x=x, values=values / size, bars=bars / size, names=names),
-            shown=plain,
         )
 
 

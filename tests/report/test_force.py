@@ -101,5 +101,5 @@ def test_force_of_an_indenter_over_its_depth() -> None:
     }
     pushed = dataclasses.replace(case, models={**case.models, **told})
     ((_, words),) = figures_of(force_section(pushed))
-    assert "700 mN at 4.00 mm" in words
-    assert "m " not in words, "a model without contact has no curve"
+    assert "to 700 mN at 4 mm" in words
+    assert ": m " not in words, "a model without contact has no curve"

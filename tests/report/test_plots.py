@@ -35,7 +35,7 @@ def test_a_line_joins_the_medians_of_cases_that_share_a_value() -> None:
     figures = [figure for block in section.blocks if isinstance(block, Figures) for figure in block.figures]
     assert [figure.title[-2:] for figure in figures] == ["nu", "nu", " k", " k"]
     assert figures[0].svg.count("data-told") == 1
-    assert "m from 3 % to 24 %" in figures[0].svg, "the range of all cases"
+    assert "m from 5 % at 1 to 10 % at 2" in figures[0].svg
 
 
 def test_where_the_mesh_size_is_swept_the_order_of_each_error_is_told() -> None:
