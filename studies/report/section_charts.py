@@ -127,8 +127,7 @@ def _axis(digest: Digest, key: str) -> _Axis:
     if any(isinstance(value, str) for value in values):
         at: dict[float | str, float] = {value: float(k) for k, value in enumerate(dict.fromkeys(values))}
         return _Axis(key, name, name, "names", at, [(x, str(text)) for text, x in at.items()], joined=False)
-    unit = next((case.swept_units[key] for case in digest.cases if key in case.swept_units), "1")
-    factor, unit = scale_of(unit, numbers)
+    factor, unit = scale_of(digest.unit(key), numbers)
     kind, where = place([value / factor for value in numbers])
     return _Axis(
         key,

@@ -25,7 +25,7 @@ from ..verdict.formatting import (
 )
 from ..verdict.verdict import Verdict, verdicts
 from ..verdict.words import TITLES
-from .blocks import Block, Cell, Code, Field, Section, Text, bar_detail, frame_table, note, spread_cell
+from .blocks import Block, Cell, Code, Field, Section, bar_detail, frame_table, note, spread_cell
 
 _WHY = {
     "unresolved": "unresolved: a finer mesh does not bear it out",
@@ -261,10 +261,7 @@ def how_to_reproduce(digest: Digest) -> Section:
     words = plan.get("command") or ["run", name]
     commands = [words, ["report", str(plan.get("directory", f"results/runs/{name}"))]]
     blocks: list[Block] = [
-        Text(
-            "The first command runs the study, or what is still missing of it. The second makes this page again "
-            "from the stored results."
-        ),
+        note("reproduce", kind="plain"),
         Code("\n".join(shlex.join(["vdmbench", *words]) for words in commands)),
         note("files"),
     ]
