@@ -39,18 +39,18 @@ def drawn(
     seen: Array,
     triangles: np.ndarray,
     colours: Array,
-    frame: tuple[Array, Array],
+    low: Array,
+    size: Array,
     width: int,
     ambient: float = AMBIENT,
 ) -> np.ndarray:
     """(height, width, 4) pixels of 0 to 255 of lit triangles on a transparent ground.
 
-    `seen` are (N, 3) points along `directions`; `frame` has the lower left and the upper right corner of what is
-    drawn, (2,) and (2,); `colours` are (F, 3, 4) RGBA of the corners, between 0 and 1.
+    `seen` are (N, 3) points along `directions`; what is drawn begins at `low` (2,), the lower left, and is as large
+    as `size` (2,); `colours` are (F, 3, 4) RGBA of the corners, between 0 and 1.
     """
-    low, high = frame
-    scale = width / (high - low)[0]
-    height = max(1, round(scale * (high - low)[1]))
+    scale = width / size[0]
+    height = max(1, round(scale * size[1]))
     corners = seen[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -135,9 +135,9 @@ def _drawings(panels: Sequence[Panel]) -> list[np.ndarray]:
     low, high = (f(everything @ axes.T, axis=0)[:2] for f in (np.min, np.max))
     half = np.maximum(_MARGIN * (high - low) / 2, 1e-12)
     half = np.maximum(half, [half[1] / _SHAPES[1], half[0] * _SHAPES[0]])
-    frame = (low + high) / 2 - half, (low + high) / 2 + half
+    low = (low + high) / 2 - half
     pictures = []
     for panel in panels:
         colours = colormaps[panel.colour_map](np.clip(panel.values, 0.0, 1.0))[panel.triangles]
-        pictures.append(drawn(panel.points @ axes.T, panel.triangles, colours, frame, _PANEL))
+        pictures.append(drawn(panel.points @ axes.T, panel.triangles, colours, low, 2 * half, _PANEL))
     return pictures

@@ -268,7 +268,7 @@ def _draw_body(axes: Axes, stage: Stage) -> None:
     colours = np.tile(to_rgba(BODY), (len(stage.triangles), 3, 1))
     for part in stage.parts:
         colours[stage.facets(part)] = to_rgba(part.colour)
-    pixels = drawn(stage.seen, stage.triangles, colours, stage.frame, _PIXELS, _AMBIENT)
+    pixels = drawn(stage.seen, stage.triangles, colours, low, high - low, _PIXELS, _AMBIENT)
     axes.imshow(pixels, extent=(low[0], high[0], low[1], high[1]), interpolation="nearest", aspect="equal")
     for part in stage.parts:
         edges, facing = stage.outline(part)
