@@ -21,7 +21,7 @@ from vdm.parts.joined import JoinedFormulation
 from vdm.parts.solve import PartsSolver
 from vdm.parts.unloaded import Unloaded, Unloading
 from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFactor
-from vdm.solution import SolverError
+from vdm.solution import SolverError, Status
 from vdm.solvers.linear import LinearSolver
 from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver
 
@@ -243,10 +243,15 @@ def test_a_beam_bends_as_the_elastica(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_parts_are_doubled_as_the_answers_ask_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where no balance is found, until one is that twice as many change by less than is told."""
-    monkeypatch.setattr(
-        "vdm.parts.body.MOST_TURN", np.inf
-    )  # the linear answer asks for one part, which bends too far
+    """Where one part bends too far to balance, until twice as many change an answer by less than is told."""
+    prepare = PartsSolver.prepare
+
+    def as_one(self: PartsSolver, loads: Any, compared: bool = True) -> float:
+        with monkeypatch.context() as while_prepared:
+            while_prepared.setattr("vdm.parts.body.MOST_TURN", np.inf)
+            return prepare(self, loads, compared)
+
+    monkeypatch.setattr(PartsSolver, "prepare", as_one)
     body = box(counts=(12, 3, 3), size=(LENGTH, SIDE, SIDE))
     found = clamped(body).solve(
         [at_tip(body[0], np.array([0.0, 0.0, -2.0 * E * SIDE**4 / 12.0 / LENGTH**2]))]
@@ -285,6 +290,33 @@ def test_what_the_parts_do_not_follow_is_told() -> None:
     assert not stretched.status[1].ok
     assert "beyond 0 of load step 1" in stretched.status[1].message
     assert_allclose(stretched.displacement[1], stretched.displacement[0], rtol=0.0)
+
+
+def test_a_body_that_is_strained_too_far_is_not_cut_for_it() -> None:
+    """Where no balance is found and its parts hardly turn: more parts are as strained."""
+    model = clamped(ROD, share=0.3)
+    found = model.solve([at_tip(ROD[0], np.array([0.01, 0.0, 0.0]))])
+    assert isinstance(model.solver, PartsSolver)
+    ended = Status("not-converged", "ended")
+    for strain, is_doubled in ((0.5, False), (0.05, True)):
+        scalars = {**found.scalars, "part_strain": np.array([strain])}
+        failed = replace(found, status=(ended,), scalars=scalars)
+        assert model.solver.doubled(failed) == is_doubled
+
+
+def test_no_slope_is_kept_of_a_load_that_ended_far_from_its_balance() -> None:
+    """From where that started another load starts too: parts have not turned, but the weight is another one."""
+    model = clamped(ROD, share=0.3, density=1e3, gravity=(0.0, 0.0, -300.0))
+    corrections = []
+    for weights in ((1.0, 0.01), (0.01,)):
+        body = Parts(model.problem, 2)
+        for weight in weights:
+            load = Load(np.zeros(len(ROD[0])), weight=weight)
+            state = body.balance(load, np.zeros_like(body.rest), np.zeros(body.n_pressures))
+            change = body.correction(state, state.lacking, state.gap, np.eye(3))[0]
+        corrections.append(change)
+    size = np.abs(corrections[1]).max()
+    assert_allclose(corrections[0], corrections[1], rtol=0.0, atol=1e-6 * size)
 
 
 def test_parts_at_small_displacements_are_one_body() -> None:

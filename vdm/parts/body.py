@@ -341,14 +341,17 @@ class Parts:
 
         Far from balance: where parts have hardly turned and `MOST_LEFT` holds. Near it corrections are mixed, what
         the slope misses is learnt, and it serves while they gain at all. What another load lacked tells nothing of
-        the slope, nor do volumes alone.
+        the slope, nor do volumes alone; one that ended far from its balance leaves none.
         """
         turns = balance.parts.turns
         lacks = max(
             float(np.linalg.norm(lacking[self.free])) / (balance.scale or 1.0), float(np.abs(gap).max())
         )
         is_far = lacks >= NEAR
-        gains = balance.parts.load is not self._load or lacks <= (MOST_LEFT if is_far else 1.0) * self._lacked
+        if balance.parts.load is not self._load:
+            gains = self._lacked < NEAR
+        else:
+            gains = lacks <= (MOST_LEFT if is_far else 1.0) * self._lacked
         if lacking.any():
             self._lacked, self._load = lacks, balance.parts.load
         slope = self._slope if gains else None

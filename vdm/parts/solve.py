@@ -12,7 +12,7 @@ from solver_common.arrays import Array, Index
 from vdm.constraints import Load
 from vdm.material import MOST_PARTS
 from vdm.mesh_error import coarse_solver
-from vdm.parts.body import Parts, parts_wanted, pieces_of
+from vdm.parts.body import LARGEST_STRAIN, Parts, parts_wanted, pieces_of
 from vdm.parts.cut import Cut
 from vdm.peers.bem import BoundaryFormulation
 from vdm.peers.bem_sparse import RoughFormulation
@@ -114,13 +114,20 @@ class PartsSolver:
     def doubled(self, solution: Solution) -> bool:
         """Whether the body has twice the parts from now on, as its answers to the loads ask for.
 
-        Where no balance was found, or where the parts would be told to leave too much open (`vdm.reservations`) and
-        the doubled can be compared with twice as many themselves.
+        Where no balance was found, but where the last state is strained by more than `LARGEST_STRAIN` and turns by
+        less than `MOST_TURN` within its parts, which more of them do not mend. Or where the parts would be told to
+        leave too much open (`vdm.reservations`) and the doubled can be compared with twice as many themselves.
         """
         if self._given:
             return False
-        answered, scalars = all(status.ok for status in solution.status), solution.scalars
-        if answered:
+        failed = [not status.ok for status in solution.status]
+        answered, scalars = not any(failed), solution.scalars
+        if not answered:
+            first, surface = failed.index(True), self._whole.formulation.surface
+            needed = parts_wanted(surface, pieces_of(surface), solution.displacement[first])
+            if scalars["part_strain"][first] > LARGEST_STRAIN and needed <= self.body.n_parts:
+                return False
+        else:
             apart, mesh = (scalars.get(name, np.zeros(1)) for name in ("parts_error", "mesh_error"))
             if not ((apart > mesh) & (apart + mesh > LIMIT)).any():
                 return False

@@ -199,11 +199,11 @@ class NonlinearSolver:
     V is the volume that the body keeps: the polyhedron's, but of the printed form.
 
     The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
-    slope of the state itself, near the balance, or once a step by it alone failed, Anderson acceleration mixes the
-    corrections, also by what the last loads told of the slope. A last shift closes the volumes to rounding. A load
-    step starts from the last converged one and is halved where it fails; one that failed holds the last balance on
-    the way to its load, and the next step starts where it did. Where the held nodes are moved, the body starts
-    carried along as they are, best fit by a rigid motion.
+    slope of the state itself, or near the balance, Anderson acceleration mixes the corrections, also by what the
+    last loads told of the slope. A last shift closes the volumes to rounding. A load step starts from the last
+    converged one and is halved where it fails; one that failed holds the last balance on the way to its load, and
+    the next step starts where it did. Where the held nodes are moved, the body starts carried along as they are,
+    best fit by a rigid motion.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ class NonlinearSolver:
         self.body: Large = body or Whole(problem, self.factor)
         self.free = self.body.free
         self._free_nodes = np.flatnonzero(self.free)
-        self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
+        self._anderson = Anderson(HISTORY)
         # a node that leaves the body by several of its sizes will not come back
         size = float(np.ptp(problem.body.rest, axis=0).max())
         self.reach = FURTHEST * size
@@ -257,7 +257,7 @@ class NonlinearSolver:
         self._number += 1
         if previous is None:
             self._number, self._path, self._largest = 0, self._starts, 0.0
-            self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
+            self._anderson = Anderson(HISTORY)
         last = self._path[-1]
         x, pressure = self._ahead(load)
         reached, width, iterations, used, lacking = 0.0, 1.0, 0, 0, np.inf
@@ -268,9 +268,6 @@ class NonlinearSolver:
                 _between(last.load, load, target), x, pressure, (reached, target)
             )
             iterations += used
-            if found is None and not self._mixes:  # the slope misses what strains within: that is learnt
-                self._mixes, self._anderson = True, Anderson(HISTORY)
-                continue
             if found is None or used > HISTORY:  # on so bent a path the slopes of here mislead further on
                 self._anderson = Anderson(HISTORY)
             if found is None:
@@ -318,7 +315,7 @@ class NonlinearSolver:
             max(residual / max(balance.scale, self.smallest_force), float(np.abs(balance.gap).max()))
         )
         if not step.status.ok:
-            return step, found
+            return replace(step, status=self.body.reserved(step.status, balance)), found
         if not problem.force(load).any() and not problem.held_unknown(load).any():
             return step, found
         step = replace(step, status=self.body.reserved(step.status, balance))
@@ -409,7 +406,7 @@ class NonlinearSolver:
                 return self._close_volume(load, balance, turn), iteration, left
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
             x = x.copy()
-            if self._mixes or residual < NEAR * balance.scale:
+            if not body.has_slope or residual < NEAR * balance.scale:
                 iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
                 mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
                 change = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn) - x[nodes]
