@@ -285,14 +285,16 @@ def _doubts(digest: Digest) -> Iterator[Remark]:
 def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Remark]:
     """What models and reference say of steps that can be used, and what the numbers of the models say of it.
 
-    Of messages of one model that differ in a number alone the first is told.
+    Of all models where none is chosen: answers that nothing judges have their reservations too. Of messages of one
+    model that differ in a number alone the first is told.
     """
     found: dict[tuple[str, str], list[str]] = {}
     for case in digest.cases:
-        for name in dict.fromkeys([*models, str(case.reference)]):
+        for name in dict.fromkeys([*(models or digest.models), str(case.reference)]):
             if (result := case.models.get(name)) is None:
                 continue
-            messages = [s.message for s in result.status if s.ok and s.message]
+            told = [s for s in result.status if s.ok and s.message]
+            messages = ["; ".join(filter(None, (s.message, s.remedy))) for s in told]
             own = reading(case, name) if name in models else None
             if own is not None and not own.ok and not failed_steps(result):
                 messages.append(own.message)

@@ -173,7 +173,14 @@ def test_a_yes_carries_the_reservations_of_model_and_reference(model: str) -> No
     before = verdicts(Digest(make_run([case]))).reservations
     found = verdicts(Digest(make_run([with_status(case, model, "doubtful")])))
     assert found["vdm-derived"].word == "yes"
-    assert set(found.reservations) - set(before) == {Remark(model, "doubtful", 1)}
+    assert set(found.reservations) - set(before) == {Remark(model, "doubtful; take boundary elements", 1)}
+
+
+def test_answers_that_nothing_judges_have_their_reservations() -> None:
+    case = dataclasses.replace(make_case({MODEL: 0.01}, subdivisions=1), reference=None)
+    found = verdicts(Digest(make_run([with_status(case, MODEL, "doubtful")])))
+    assert found.not_judged
+    assert Remark(MODEL, "doubtful; take boundary elements", 1) in found.reservations
 
 
 def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
