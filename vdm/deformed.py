@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from solver_common.arrays import Array, Index
-from vdm.surface import SurfaceMesh, cross
+from vdm.surface import SurfaceMesh, cross, lengths
 
 
 class DeformableSurface:
@@ -58,17 +58,27 @@ class DeformedSurface:
         self.body = body
         self._rotation = rotation
         self.positions = positions
-        # (3, F) arrays: plain products are several times faster than np.cross, and take than an index in brackets
-        corners = np.take(np.ascontiguousarray(positions.T), body.corners, axis=1)
-        a = corners[:, 0]
-        (px, py, pz), (qx, qy, qz) = corners[:, 1] - a, corners[:, 2] - a
-        self.facet_vectors: Array = 0.5 * np.stack([py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx])
-        self._first_corners = a
-        self.volume = float(np.vdot(a, self.facet_vectors)) / 3.0
+
+    @cached_property
+    def _corners(self) -> Array:
+        """(3, 3, F): plain products are several times faster than np.cross, and take than an index in brackets."""
+        return np.take(np.ascontiguousarray(self.positions.T), self.body.corners, axis=1)
+
+    @cached_property
+    def facet_vectors(self) -> Array:
+        """(3, F) [m^2]."""
+        a = self._corners[:, 0]
+        (px, py, pz), (qx, qy, qz) = self._corners[:, 1] - a, self._corners[:, 2] - a
+        return 0.5 * np.stack([py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx])
+
+    @cached_property
+    def volume(self) -> float:
+        """[m^3]."""
+        return float(np.vdot(self._corners[:, 0], self.facet_vectors)) / 3.0
 
     def volumes(self, first: Index) -> Array:
         """(m,) of bodies that lie one after another, the facets of body b from first[b] on [m^3]."""
-        each = np.einsum("cf,cf->f", self._first_corners, self.facet_vectors)
+        each = np.einsum("cf,cf->f", self._corners[:, 0], self.facet_vectors)
         return np.asarray(np.add.reduceat(each, first)) / 3.0
 
     @cached_property
@@ -115,8 +125,7 @@ def follow(force: Array, rest_vectors: Array, state: DeformedSurface) -> Array:
     if not len(loaded):
         return turned
     vectors, rest_vectors = state.area_vectors[loaded], rest_vectors[loaded]
-    rest_size = np.linalg.norm(rest_vectors, axis=1)[:, None]
-    size = np.linalg.norm(vectors, axis=1)[:, None]
+    rest_size, size = lengths(rest_vectors)[:, None], lengths(vectors)[:, None]
     turn = state.rotation if state.rotation.ndim == 2 else state.rotation[loaded]
     along = "ni,ij->nj" if turn.ndim == 2 else "ni,nij->nj"
     f, before = (np.einsum(along, rows, turn) for rows in (force[loaded], rest_vectors / rest_size))

@@ -50,7 +50,7 @@ class SurfaceMesh:
 
         corners = self._corners()
         vectors = facet_vectors(*corners)
-        self.facet_areas: Array = _length(vectors)
+        self.facet_areas: Array = lengths(vectors)
         _check_facets(corners, self.facet_areas)
         self.edges: NDArray[np.int32]
         self.facet_edges: NDArray[np.int32]
@@ -123,7 +123,7 @@ class SurfaceMesh:
     @cached_property
     def vector_areas(self) -> Array:
         """(N,) a_i = |g_i| <= A_i [m^2]."""
-        return _length(self.area_vectors)
+        return lengths(self.area_vectors)
 
     @property
     def raw_cotangent_weights(self) -> Array:
@@ -258,14 +258,14 @@ def facet_vectors(a: Array, b: Array, c: Array) -> Array:
     return 0.5 * cross(b - a, c - a)
 
 
-def _length(vectors: Array) -> Array:
+def lengths(vectors: Array) -> Array:
     """(n,) of vectors (n, 3)."""
     return np.asarray(np.sqrt(np.einsum("nc,nc->n", vectors, vectors)))
 
 
 def _check_facets(corners: tuple[Array, Array, Array], areas: Array) -> None:
     a, b, c = corners
-    longest = np.maximum(np.maximum(_length(b - a), _length(c - b)), _length(a - c))
+    longest = np.maximum(np.maximum(lengths(b - a), lengths(c - b)), lengths(a - c))
     flat = np.flatnonzero(2.0 * areas <= FLAT_FACET * longest**2)
     if flat.size:
         raise SurfaceError(f"{flat.size} facets have no area (first: {flat[0]}); clean or remesh the surface")

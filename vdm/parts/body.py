@@ -38,7 +38,7 @@ from vdm.formulations.base import Factor
 from vdm.parts.cut import Cut, cut
 from vdm.parts.joined import JoinedFormulation
 from vdm.parts.part import Nothing, Part, condensed, dofs
-from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, moments, spans, turned_back
+from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, moments, turned_back
 from vdm.problem import Problem
 from vdm.solution import Status
 from vdm.solvers.linear import BorderedFactor
@@ -93,6 +93,7 @@ class _Slope:
     Attributes
     ----------
     turns : (m, 3, 3) of the parts
+    inner, joined : (., 3, 3) those of the inner nodes and of the shared nodes of each part
     columns : of each part its places in q
     pushes : of each part E_I (3 n_I, k)
     border : (3 n_C, r) H
@@ -101,6 +102,8 @@ class _Slope:
     """
 
     turns: Array
+    inner: Array
+    joined: Array
     columns: list[Index]
     pushes: list[Array]
     border: Array
@@ -199,16 +202,21 @@ class Parts:
         facets = np.array([len(part.walls) for part in self.parts], np.int64)
         self._part = np.repeat(np.arange(self.n_parts), sizes)
         self._first, self._first_facet = np.cumsum(sizes) - sizes, np.cumsum(facets) - facets
-        self._spans = spans(self._first, len(self._nodes))
-        every = np.arange(len(self._nodes))
-        ones = np.ones(len(every))
-        self._sum = sparse.csr_array(sparse.coo_array((ones, (self._nodes, every)), shape=(n, len(every))))
-        held_at_rest = self._cavities(self._joint.at(np.zeros((len(every), 3))))[0]
+        self._spans = _spans(sizes)
+        # inner nodes of all parts, and which of the shared nodes each has
+        self._inner = np.concatenate([part.nodes[part.inner] for part in self.parts])
+        self._places = np.concatenate([part.places for part in self.parts])
+        inner = np.array([part.inner.sum() for part in self.parts])
+        joins = np.array([len(part.places) for part in self.parts])
+        self._inner_part, self._joined_part = (np.repeat(np.arange(self.n_parts), k) for k in (inner, joins))
+        self._unknowns = list(zip(self.parts, _spans(3 * inner), _spans(3 * joins), strict=True))
+        self._sum, self._join = _summing(self._nodes, n), _summing(self._places, self._n_shared)
+        held_at_rest = self._cavities(self._joint.at(np.zeros((len(self._nodes), 3))))[0]
         self.volumes = np.append([part.form.surface.volume for part in self.parts], held_at_rest)
         self.wanted = 1
         self._turns: Array | None = None
         self._slope: _Slope | None = None
-        self._lacked = np.inf  # at the last correction, and under which load
+        self._lacked = np.inf, np.inf  # at the last two corrections, and under which load
         self._load: Load | None = None
         self._factor: Factor = Nothing()
         if self.n_parts > 1:
@@ -221,16 +229,18 @@ class Parts:
         """As in `Large`."""
         problem, n_surface = self.problem, self.problem.formulation.surface.n_nodes
         m, state = self.n_parts, self._joint.at(x[self._nodes])
-        turns = best_rotation(moments(self._joint.levers, state.positions, self._first))
+        turns = best_rotation(moments(self._joint.levers, state.positions, self._spans))
         placed = [state.positions[span] @ q.T for span, q in zip(self._spans, turns, strict=True)]
         away = np.concatenate(placed) - self._joint.rest
         forces = np.concatenate([part.form.swollen_force(away[span]) for part, span in self._each()])
-        internal = np.asarray(self._sum @ turned_back(forces, turns, state, self._first))
+        internal = np.asarray(self._sum @ turned_back(forces, turns, state, self._spans))
         held, filled = self._cavities(state)
         pushed = pressure[self._part][:, None] * state.area_vectors + filled @ pressure[m:]
         applied = np.asarray(self._sum @ pushed)
         gap = np.append(state.volumes(self._first_facet), held) / self.volumes - 1.0
         outer = problem.body.at(x[:n_surface], turns[0] if m == 1 else turns[self.owner])
+        # of the caps the two sides cancel
+        outer.area_vectors = np.asarray(self._sum @ state.area_vectors)[:n_surface]
         on_surface = problem.deformed_force(load, outer, outer.area_vectors)
         applied[:n_surface] += on_surface
         if load.dead_force is not None:
@@ -283,19 +293,17 @@ class Parts:
         kept = self._rows_of_volumes
         target = np.zeros(len(slope.system))
         target[kept] = -gap * self.volumes
-        right, inside = -lacking[self._shared], list[Array]()
-        for part, q, columns, pushes in zip(
-            self.parts, slope.turns, slope.columns, slope.pushes, strict=True
-        ):
-            # vectors in rows: v of the world is v @ q.T in the part's frame
-            within = (-lacking[part.nodes[part.inner]] @ q.T).reshape(-1)
-            inside.append(np.asarray(part.block.solve(within)))
-            target[columns] -= pushes.T @ inside[-1]
-            if len(part.places):
-                right[part.places] -= (part.follows.T @ within).reshape(-1, 3) @ q
-        first = np.asarray(self._factor.solve(right.reshape(-1)))
-        push = np.asarray(np.linalg.solve(slope.system, target - slope.border.T @ first), np.float64)
-        moved = self._moved(slope.turns, first[:, None], [own[:, None] for own in inside])[:, 0]
+        # vectors in rows: v of the world is v @ q.T in the part's frame
+        within = np.einsum("nd,ncd->nc", -lacking[self._inner], slope.inner).reshape(-1)
+        inside, met = np.empty_like(within), np.empty(3 * len(self._places))
+        for (part, i, c), columns, pushes in zip(self._unknowns, slope.columns, slope.pushes, strict=True):
+            inside[i] = part.block.solve(within[i])
+            target[columns] -= inside[i] @ pushes
+            met[c] = within[i] @ part.follows
+        joined = self._join @ np.einsum("nc,ncd->nd", met.reshape(-1, 3), slope.joined)
+        first = np.asarray(self._factor.solve((-lacking[self._shared] - joined).reshape(-1)))
+        push = np.asarray(np.linalg.solve(slope.system, target - first @ slope.border), np.float64)
+        moved = self._moved(slope.inner, slope.joined, first[:, None], inside[:, None])[:, 0]
         change = (moved + slope.answers @ push).reshape(-1, 3)
         closing, more = self._closing(balance, change, gap)
         change = change + closing
@@ -324,36 +332,40 @@ class Parts:
         push = np.linalg.solve(slope.system, missed)
         return (slope.answers @ push).reshape(-1, 3), np.asarray(push[kept])
 
-    def _moved(self, turns: Array, together: Array, inside: list[Array]) -> Array:
-        """(3n, r) by r motions of nodes that are shared (3 n_C, r) and what moves each part's own (3 n_I, r)."""
+    def _moved(self, of_inner: Array, of_joined: Array, together: Array, inside: Array) -> Array:
+        """(3n, r) by r motions of nodes that are shared (3 n_C, r) and what moves each part's own (3 n_I, r).
+
+        With the rotations of all inner nodes and of the shared ones of each part, as in `_Slope`.
+        """
         r = together.shape[1]
         shared = together.reshape(-1, 3, r)
+        own = np.einsum("ncd,ndr->ncr", of_joined, shared[self._places]).reshape(-1, r)
+        follows = [part.follows @ own[c] for part, _, c in self._unknowns]
+        inside = (inside - np.concatenate(follows)).reshape(-1, 3, r)
         change = np.zeros((len(self.free), 3, r))
         change[self._shared] = shared
-        for part, q, moved in zip(self.parts, turns, inside, strict=True):
-            if len(part.places):
-                moved = moved - part.follows @ (q @ shared[part.places]).reshape(-1, r)
-            change[part.nodes[part.inner]] = q.T @ moved.reshape(-1, 3, r)
+        change[self._inner] = np.einsum("ncd,ncr->ndr", of_inner, inside)
         return change.reshape(-1, r)
 
     def _slope_for(self, balance: Balance, lacking: Array, gap: Array) -> _Slope:
         """The slope of a state, or the last one where that serves.
 
         Far from balance: where parts have hardly turned and `MOST_LEFT` holds. Near it corrections are mixed, what
-        the slope misses is learnt, and it serves while they gain at all. What another load lacked tells nothing of
-        the slope, nor do volumes alone; one that ended far from its balance leaves none.
+        the slope misses is learnt, and it serves while two of them gain at all. What another load lacked tells
+        nothing of the slope, nor do volumes alone; one that ended far from its balance leaves none.
         """
         turns = balance.parts.turns
         lacks = max(
             float(np.linalg.norm(lacking[self.free])) / (balance.scale or 1.0), float(np.abs(gap).max())
         )
         is_far = lacks >= NEAR
+        before, last = self._lacked
         if balance.parts.load is not self._load:
-            gains = self._lacked < NEAR
+            gains, last = last < NEAR, np.inf
         else:
-            gains = lacks <= (MOST_LEFT if is_far else 1.0) * self._lacked
+            gains = lacks <= (MOST_LEFT * last if is_far else before)
         if lacking.any():
-            self._lacked, self._load = lacks, balance.parts.load
+            self._lacked, self._load = (last, lacks), balance.parts.load
         slope = self._slope if gains else None
         if slope is None or (is_far and np.abs(turns - slope.turns).max() > SAME_TURN):
             slope = self._slope = self._slope_at(balance, self._joined_at(turns))
@@ -366,8 +378,8 @@ class Parts:
         columns = [np.append(k * e + np.arange(k), k * m + np.arange(self._n_filled)) for e in range(m)]
         size = k * m + self._n_filled
         border, corner = np.zeros((n, 3, size)), np.zeros((size, size))
-        pushed, inside = list[Array](), list[Array]()
-        for e, (part, q, at) in enumerate(zip(self.parts, turns, columns, strict=True)):
+        pushed, inside = list[Array](), np.zeros((3 * len(self._inner), size))
+        for e, ((part, i, _), q, at) in enumerate(zip(self._unknowns, turns, columns, strict=True)):
             turning, own = self._turning(e, q, balance)
             filled = np.einsum("nck,dc->ndk", acting.filled[self._spans[e]], q)
             pressed = (acting.state.area_vectors[self._spans[e]] @ q.T)[:, :, None]
@@ -375,19 +387,18 @@ class Parts:
             within = pushes[part.inner].reshape(-1, len(at))
             pushed.append(within)
             answered = np.asarray(part.block.solve(np.asfortranarray(within)))
-            inside.append(np.zeros((len(within), size)))
-            inside[-1][:, at] = answered
+            inside[i, at] = answered
             corner[np.ix_(at, at)] += within.T @ answered
             corner[np.ix_(at[1:k], at[1:k])] += own
             if not (part.inner | part.shared).any():  # it is held all over, and its pressure is at rest
                 corner[k * e, k * e] = 1.0
-            if len(part.places):
-                joined = pushes[part.shared] - (part.follows.T @ within).reshape(-1, 3, len(at))
-                border[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", joined, q)
+            joined = pushes[part.shared] - (part.follows.T @ within).reshape(-1, 3, len(at))
+            border[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", joined, q)
         flat = border.reshape(3 * n, size)
         together = np.asarray(self._factor.solve(np.asfortranarray(flat)))
-        answers = self._moved(turns, together, inside)
-        return _Slope(turns, columns, pushed, flat, answers, flat.T @ together + corner)
+        of_nodes = turns[self._inner_part], turns[self._joined_part]
+        answers = self._moved(*of_nodes, together, inside)
+        return _Slope(turns, *of_nodes, columns, pushed, flat, answers, flat.T @ together + corner)
 
     def _turning(self, number: int, q: Array, balance: Balance) -> tuple[Array, Array]:
         """What turning a part adds to its slope, `U C U^T`: U (n, 3, 6) in its frame, and C^-1 (6, 6).
@@ -421,9 +432,8 @@ class Parts:
             return self._turns
         matrix = self._ground_joining.copy()
         for part, q in zip(self.parts, turns, strict=True):
-            if len(part.places):
-                at = dofs(part.places)
-                matrix[np.ix_(at, at)] += turned_block(part.carried, q, q)
+            at = dofs(part.places)
+            matrix[np.ix_(at, at)] += turned_block(part.carried, q, q)
         if len(matrix):
             self._factor = DenseFactor(matrix, few=True)
         self._turns = turns
@@ -500,8 +510,20 @@ def inverse_inertia(stretch: Array) -> Array:
 def turned_block(matrix: Array, q: Array, p: Array) -> Array:
     """(3n, 3n) symmetric matrix between a part's frame and the world's: q^T M p node by node."""
     n = len(matrix)
-    half = (matrix.reshape(n, -1, 3) @ q).reshape(n, n)
-    return (half.T.reshape(n, -1, 3) @ p).reshape(n, n)
+    half = (matrix.reshape(n, n // 3, 3) @ q).reshape(n, n)
+    return (half.T.reshape(n, n // 3, 3) @ p).reshape(n, n)
+
+
+def _spans(sizes: Index) -> list[slice]:
+    """Where things of such sizes are that lie one after another."""
+    ends = np.cumsum(sizes)
+    return list(map(slice, (ends - sizes).tolist(), ends.tolist()))
+
+
+def _summing(places: Index, count: int) -> sparse.csr_array:
+    """(count, k) sums what has these places (k,)."""
+    ones, every = np.ones(len(places)), np.arange(len(places))
+    return sparse.csr_array(sparse.coo_array((ones, (places, every)), shape=(count, len(places))))
 
 
 def _rim(surface: SurfaceMesh, held: Mask) -> Mask | None:

@@ -56,8 +56,8 @@ def condensed(
     block: Factor | None,
 ) -> Part:
     """A part whose inner nodes are eliminated; `block` is their factor, without the swelling, where it is known."""
-    follows = carried = np.zeros((0, 0))
     i, c = dofs(np.flatnonzero(inner)), dofs(np.flatnonzero(shared))
+    follows, carried = np.zeros((len(i), 0)), np.zeros((0, 0))
     swelling = form.swelling
     assert swelling is not None
     if not len(i):

@@ -79,11 +79,11 @@ class Unloaded(Parts):
         middles = np.add.reduceat(self._areas * rest.positions, self._first)
         about = rest.positions - middles[self._part]
         aim = np.einsum("nj,nij->ni", state.positions, turns[self._part])
-        back = best_rotation(moments(self._areas * about, aim, self._first))
+        back = best_rotation(moments(self._areas * about, aim, self._spans))
         placed = np.einsum("ni,nij->nj", about, back[self._part])
         further = self._joint.rest - placed
         forces = [part.form.swollen_force(further[span]) for part, span in self._each()]
-        lacking = seen.lacking + self._sum @ turned_back(np.concatenate(forces), turns, state, self._first)
+        lacking = seen.lacking + self._sum @ turned_back(np.concatenate(forces), turns, state, self._spans)
         if self._ground is not None:
             n_surface = self.problem.formulation.surface.n_nodes
             springs = self._ground @ (self._sag + x)[:n_surface].reshape(-1)
@@ -124,14 +124,13 @@ class Unloaded(Parts):
             target[at] -= read.T @ answered[:, 0]
             corner[np.ix_(at, at)] += -read.T @ answered[:, 1:]
             corner[np.ix_(at[:k], at[:k])] += own
-            if len(part.places):
-                follows, there = part.follows.T, dofs(part.places)
-                matrix[np.ix_(there, there)] += turned_block(part.carried, q, g.T)
-                right[part.places] -= (follows @ within).reshape(-1, 3) @ q
-                pushed = pushing[c] - (follows @ columns[:, 1:]).reshape(-1, 3, len(at))
-                pushes[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", pushed, q)
-                joined = reading[c] - (follows @ read).reshape(-1, 3, len(at))
-                reads[part.places[:, None], :, at] += np.einsum("ncj,dc->njd", joined, g)
+            follows, there = part.follows.T, dofs(part.places)
+            matrix[np.ix_(there, there)] += turned_block(part.carried, q, g.T)
+            right[part.places] -= (follows @ within).reshape(-1, 3) @ q
+            pushed = pushing[c] - (follows @ columns[:, 1:]).reshape(-1, 3, len(at))
+            pushes[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", pushed, q)
+            joined = reading[c] - (follows @ read).reshape(-1, 3, len(at))
+            reads[part.places[:, None], :, at] += np.einsum("ncj,dc->njd", joined, g)
         read, together = (
             reads.reshape(3 * n, size),
             np.column_stack([right.reshape(-1), pushes.reshape(3 * n, size)]),
@@ -145,9 +144,7 @@ class Unloaded(Parts):
         change = np.zeros_like(balance.x)
         change[self._shared] = shared
         for part, g, answered in zip(self.parts, resting.turns, inside, strict=True):
-            moved = answered @ weights
-            if len(part.places):
-                moved = moved - part.follows @ (shared[part.places] @ g).reshape(-1)
+            moved = answered @ weights - part.follows @ (shared[part.places] @ g).reshape(-1)
             change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ g.T
         return change[self.free], push[kept]
 

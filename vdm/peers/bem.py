@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -229,8 +230,8 @@ class BoundaryFormulation(DisplacementFormulation):
 
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
         turn, unturned = self.unturned(state)
-        force, whole = self.swollen_force(unturned), np.zeros(1, np.int64)
-        return turned_back(force, turn[None], state, whole) + self.ground_force(x)
+        force = self.swollen_force(unturned)
+        return turned_back(force, turn[None], state, [slice(None)]) + self.ground_force(x)
 
     def deformed_energy(self, x: Array, state: DeformedSurface) -> float:
         unturned = self.unturned(state)[1]
@@ -314,37 +315,31 @@ class SwollenFactor:
         return found - self._answers @ np.linalg.solve(self._small, self._vectors.T @ found)
 
 
-def turned_back(force: Array, turns: Array, state: DeformedSurface, first: Index) -> Array:
+def turned_back(force: Array, turns: Array, state: DeformedSurface, each: Sequence[slice]) -> Array:
     """Elastic forces (N, 3) in the world of bodies that lie one after another, of those in their frames.
 
-    Body b has its nodes from first[b] on and the best-fit rotation turns[b]. The energy changes with it too:
+    Body b has the nodes each[b] and the best-fit rotation turns[b]. The energy changes with it too:
     dQ = Q [omega]x with `(tr P - P) omega = -sum levers x dx`, `P = sum levers (x) positions`, is symmetric, and it
     changes by `omega . sum positions x force`.
     """
-    each = spans(first, len(force))
     own, levers = (
-        np.concatenate([rows[span] @ turn for turn, span in zip(turns, each, strict=True)])
-        for rows in (force, state.body.levers)
+        np.concatenate([force[span] @ q for span, q in zip(each, turns, strict=True)]),
+        state.body.levers,
     )
-    stretch, products = moments(levers, state.positions, first), moments(state.positions, own, first)
+    stretch = turns.transpose(0, 2, 1) @ moments(levers, state.positions, each)
+    products = moments(state.positions, own, each)
     inertia = np.trace(stretch, axis1=1, axis2=2)[:, None, None] * np.eye(3) - stretch
     skew = products - products.transpose(0, 2, 1)
     twist = np.stack([skew[:, 1, 2], skew[:, 2, 0], skew[:, 0, 1]], axis=1)[:, :, None]
-    for pull, span in zip(np.linalg.solve(inertia, twist)[:, :, 0].tolist(), each, strict=True):
-        x, y, z = pull  # less its vector product with each lever
-        own[span] -= levers[span] @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    pulls = np.linalg.solve(inertia, twist)[:, :, 0].tolist()
+    for (x, y, z), q, span in zip(pulls, turns, each, strict=True):  # less its vector product with each lever
+        own[span] -= levers[span] @ (q @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]))
     return own
 
 
-def moments(arms: Array, vectors: Array, first: Index) -> Array:
-    """(m, 3, 3) sums of arm^T vector over nodes (N, 3), those of body b from first[b] on."""
-    return np.stack([arms[span].T @ vectors[span] for span in spans(first, len(arms))])
-
-
-def spans(first: Index, count: int) -> list[slice]:
-    """Of bodies that lie one after another on so many nodes, from first[b] on."""
-    ends = [*first[1:].tolist(), count]
-    return [slice(start, end) for start, end in zip(first.tolist(), ends, strict=True)]
+def moments(arms: Array, vectors: Array, each: Sequence[slice]) -> Array:
+    """(m, 3, 3) sums of arm^T vector over the nodes each[b] of bodies that lie one after another, (N, 3)."""
+    return np.stack([arms[span].T @ vectors[span] for span in each])
 
 
 def too_large(n_nodes: int) -> Status:

@@ -27,9 +27,13 @@ SMALLEST_SUBSTEP = 1.0 / 64.0
 # of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
 AS_ONE = 0.3
 LEAST_TURN = 1e-9  # of the second moment of the held nodes: rotations about which they say less are not made
-FURTHEST_AHEAD = 8.0  # sum of the weights of converged states, without their signs, that a start is made of
-MOST_STATES = 3  # of the last converged ones that a start is made of
-BENT = 0.1  # of the way along the line through the last two
+MOST_DEGREE = 3  # of the polynomial in the loads that a start is made by
+MOST_STATES = 10  # converged ones that it is made of: so many tell a cubic of two loads
+FURTHEST_AHEAD = 2.0 ** (MOST_DEGREE + 1)  # sum of their weights without signs: of equal steps in line
+MISSED = (
+    0.1  # of a load's change, that a mixture of loads may miss, and of the way, that a degree more may add
+)
+SAME = 1e-12  # of squares of loads: below it changes do not tell a direction
 # sizes of the body; forces that move it less are measured by those that move it so far
 SMALLEST_MOTION = 1e-6
 # of the balance's residual over the larger of the internal and the applied forces, or over the force of a pressure
@@ -344,26 +348,27 @@ class NonlinearSolver:
     def _ahead(self, load: Load) -> tuple[Array, Array]:
         """Where converged steps point to under a load that goes on as they went.
 
-        As many of the last as its load is a mixture of are mixed as their loads are: two of a load that grows,
-        three of two that change apart. Where three are in line, the parabola through them where it is `BENT` at
-        most. The last one where loads go elsewhere.
+        By the polynomial in the loads that the fewest of the last steps tell: of a load that grows two tell a line
+        and three a parabola, of two that change apart three tell what is linear in both. Of the last step, where
+        loads go elsewhere, and of a degree while each adds a tenth of the way at most that the last one may.
         """
         path, last = self._path, self._path[-1]
-        for count in range(2, len(path) + 1):
-            weights = _weights([state.load for state in path[-count:]], load)
-            if np.abs(weights).sum() <= FURTHEST_AHEAD:
+        products = _products([state.load for state in path], load)
+        found, most, count = (last.x, last.pressure), np.inf, 1
+        for degree in range(1, MOST_DEGREE + 1):
+            for count in range(count + 1, len(path) + 1):  # noqa: B020 - a higher degree needs more than this one
+                weights = _weights(products[-count:, -count:], degree)
+                if np.abs(weights).sum() <= FURTHEST_AHEAD:
+                    break
+            else:
                 break
-        else:
-            return last.x, last.pressure
-        found = _mixed(path[-count:], weights)
-        if count == 2 and len(path) > 2:
-            line = [state.load for state in path[-2:]]
-            places = np.array([_weights(line, state.load)[1] for state in path[-3:]])
-            bent = _lagrange(places, weights[1])
-            if np.abs(bent).sum() <= FURTHEST_AHEAD:
-                parabola = _mixed(path[-3:], bent)
-                if np.linalg.norm(parabola[0] - found[0]) <= BENT * np.linalg.norm(found[0] - last.x):
-                    return parabola
+            further = _mixed(path[-count:], weights)
+            added = float(np.linalg.norm(further[0] - found[0]))
+            if added > most:
+                break
+            if degree == 1:
+                most = max(added, float(np.linalg.norm(last.x - path[-2].x)))
+            found, most = further, MISSED * most
         return found
 
     def _held(self, load: Load) -> Array:
@@ -471,33 +476,28 @@ def _mixed(path: Sequence[_Converged], weights: Array) -> tuple[Array, Array]:
     return np.tensordot(weights, unknowns, 1), np.tensordot(weights, pressures, 1)
 
 
-def _weights(path: Sequence[Load], load: Load) -> Array:
-    """(k,) weights, of sum 1, of which k loads make another to a tenth of its change, in every part; else NaN."""
-    changes, aims = list[Array](), list[Array]()
+def _products(path: Sequence[Load], load: Load) -> Array:
+    """(k, k) of the changes from the last of k loads to those before it, and to another, with each other."""
+    total = np.zeros((len(path), len(path)))
     for part in ("contact_pressure", "contact_force", "prescribed", "dead_force", "weight"):
-        values = (getattr(state, part) for state in (*path, load))
-        *before, last, aim = np.broadcast_arrays(*(np.ravel(0.0 if v is None else v) for v in values))
-        change = np.stack(before) - last
-        size = float(np.linalg.norm(change)) or 1.0  # parts have units of their own
-        changes.append(change / size)
-        aims.append((aim - last) / size)
-    together, aim = np.concatenate(changes, axis=1), np.concatenate(aims)
-    shares = np.linalg.lstsq(together @ together.T, together @ aim, rcond=None)[0]
-    moves = together.any()
-    for change, aim in zip(changes, aims, strict=True):
-        if not moves or np.linalg.norm(aim - shares @ change) > 0.1 * np.linalg.norm(aim):
-            return np.full(len(path), np.nan)
+        values = [getattr(state, part) for state in (*path, load)]
+        size = max(0 if value is None else np.size(value) for value in values)
+        each = np.stack([np.zeros(size) if value is None else np.ravel(value) for value in values])
+        changes = np.delete(each, -2, axis=0) - each[-2]
+        total += changes @ changes.T / (np.vdot(each, each) or 1.0)  # parts have units of their own
+    return total
+
+
+def _weights(products: Array, degree: int) -> Array:
+    """(k,) of k loads, see `_products`, by which all powers of another are mixed up to a degree; else NaN."""
+    powers = np.arange(1, degree + 1)[:, None]
+    products = products / (products.diagonal().max() or 1.0)
+    own, aim = products[:-1, :-1] ** powers[:, :, None], products[:-1, -1] ** powers
+    size = products[-1, -1] ** powers[:, 0]
+    shares = np.linalg.lstsq(own.reshape(-1, own.shape[2]), aim.reshape(-1), rcond=SAME)[0]
+    if (size - 2.0 * aim @ shares + (own @ shares) @ shares > MISSED**2 * size).any():
+        return np.full(len(products), np.nan)
     return np.append(shares, 1.0 - shares.sum())
-
-
-def _lagrange(places: Array, place: float) -> Array:
-    """(k,) weights of values at k places in their polynomial at another place; not finite where two places meet."""
-    apart = places[:, None] - places
-    np.fill_diagonal(apart, 1.0)
-    ahead = np.where(np.eye(len(places)) > 0.0, 1.0, place - places)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weights: Array = (ahead / apart).prod(axis=1)
-    return weights
 
 
 def _between(start: Load, end: Load, share: float) -> Load:
