@@ -130,10 +130,16 @@ def interfaces(mesh: Mesh, inclusions: Sequence[PlacedInclusion]) -> tuple[Index
     region[regions] = np.arange(len(regions))
     region = region[lowest]
     sides = np.stack([region[one], region[other]], axis=1)[~alike]
-    if len(np.unique(np.sort(sides, axis=1), axis=0)) != len(regions) - 1:
+    pairs = set(map(tuple, np.sort(sides, axis=1).tolist()))
+    if len(pairs) != len(regions) - 1:
+        around = [{sum(pair) - k for pair in pairs if k in pair} for k in range(len(regions))]
+        of = label[regions]
+        # two that meet, and a third region that meets both
+        numbers = {int(of[k]) for i, j in pairs if around[i] & around[j] for k in (i, j) if of[k] >= 0}
+        names = " and ".join(repr(inclusions[k].declared.name) for k in sorted(numbers))
         raise SceneError(
-            "inclusions touch each other, which a model of surfaces has no answer for; leave room between them, or "
-            "use finite elements",
+            f"inclusions touch each other{f' ({names})' if names else ''}, which a model of surfaces has no answer "
+            "for; leave room between them, or use finite elements",
             ("inclusions",),
         )
     return faces[first[~alike]], sides, label[regions[1:]]

@@ -135,7 +135,7 @@ def test_boundary_elements_know_a_lump_of_any_modulus(pressed_ball: Hierarchy, r
     ("lumps", "told"),
     [
         ([lump("a", 0.9, 0.4, 10.0)], "'a' reaches the surface of the body"),
-        ([lump("a", -0.2, 0.3, 10.0), lump("b", 0.2, 0.3, 5.0)], "inclusions touch each other"),
+        ([lump("a", -0.2, 0.3, 10.0), lump("b", 0.2, 0.3, 5.0)], "inclusions touch each other ('a' and 'b')"),
     ],
 )
 def test_a_lump_that_touches_is_refused(lumps: list[dict[str, Any]], told: str) -> None:
