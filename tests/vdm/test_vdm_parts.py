@@ -309,6 +309,12 @@ def test_a_body_that_is_strained_too_far_is_not_cut_for_it() -> None:
         assert model.solver.doubled(failed) == is_doubled
 
 
+def test_fewer_parts_than_were_given_are_told() -> None:
+    found = clamped(ROD, share=0.3, parts=64).solve([at_tip(ROD[0], np.array([0.01, 0.0, 0.0]))])
+    assert found.status[0].ok
+    assert f"64 parts are called for, and {found.scalars['parts'][0]:.0f} made (" in found.status[0].message
+
+
 def test_no_slope_is_kept_of_a_load_that_ended_far_from_its_balance() -> None:
     """From where that started another load starts too: parts have not turned, but the weight is another one."""
     model = clamped(ROD, share=0.3, density=1e3, gravity=(0.0, 0.0, -300.0))

@@ -477,7 +477,7 @@ class Parts:
         """The status, with what the parts do not follow: too few of them, strain within one."""
         told = []
         if self.n_parts < self.wanted:
-            message = f"the load bends the body: {self.wanted} parts are called for, and {self.n_parts} made"
+            message = f"{self.wanted} parts are called for, and {self.n_parts} made"
             why = f" ({self.cut.refused})" if self.cut.refused else ""
             told.append((message + why, "refine the surface, or use finite elements"))
         strain = max(self._strains(balance))

@@ -80,6 +80,7 @@ class PartsSolver:
 
         if self._given:
             self._solver = self._of(self._given)
+            self.body.wanted = self._given
         else:
             pieces = pieces_of(surface)
 
