@@ -418,7 +418,8 @@ def league(name: str, _: Sequence[str]) -> None:
     left_out = [
         f"Not here: {model}: `pip install ./docs/examples`." for model in own["models"] if model not in here
     ]
-    told = " ".join([f"{', '.join([*engines, f'{len(cases)} cases'])}.", *left_out])
+    machine = f"{cases[0].provenance['processor']}, one thread"
+    told = " ".join([f"{', '.join([machine, *engines, f'{len(cases)} cases'])}.", *left_out])
     show(ROOT / own["document"], own["part"], f"{told}\n\n{league_table(cases, here)}")
 
 

@@ -52,7 +52,7 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
         print(f"report: {report}")
     if run.failed and not found["done"] and all(failure["code"] == "input" for failure in run.failed):
         return USAGE  # nothing could be done with what the user gave
-    ended = found["judgement"].get("unreached")
+    ended = found["judgement"].get("unreached") or found["unanswered"]
     return DAMAGED if run.damaged else FAILED if run.failed or ended else OK
 
 

@@ -186,6 +186,7 @@ def summary(run: Run) -> dict[str, Any]:
         "failed": list(run.failed),
         "missing": list(run.missing),
         "stopped": [one._asdict() for one in stopped_models(digest)],
+        "unanswered": digest.unanswered,
         "metrics": headline_metrics(run),
         "answers": told(found),
         "table": terminal_rows(digest),  # of the terminal, which JSON does not show
@@ -200,7 +201,10 @@ def terminal_rows(digest: Digest) -> list[dict[str, str]]:
         spreads = {key: digest.spread(name, metric) for key, metric in metrics.items()}
         errors = {key: percent(spread.value) if spread else NOTHING for key, spread in spreads.items()}
         if name == digest.reference:
-            errors = {key: f"± {percent(median_known(digest.bars(of)))}" for key, of in metrics.items()}
+            bars = {key: median_known(digest.bars(of)) for key, of in metrics.items()}
+            errors = {
+                key: f"± {percent(bar)}" if math.isfinite(bar) else NOTHING for key, bar in bars.items()
+            }
         times = {"set-up": quantity(cost.set_up, "s"), "per frame": quantity(cost.frame, "s")}
         rows.append({"model": name, **errors, **times})
         if any(spread and spread.cases > 1 for spread in spreads.values()):

@@ -379,6 +379,13 @@ class Digest:
         return tuple(found)
 
     @cached_property
+    def unanswered(self) -> int:
+        """Cases in which no model has an answer to the full load."""
+        return sum(
+            not any(model.status[case.full_load].ok for model in case.models.values()) for case in self.cases
+        )
+
+    @cached_property
     def in_range(self) -> Digest:
         """The same of the cases that can be judged; itself where that is all of them."""
         beyond = {one.case for one in self.outside} | {one.case for one in self.unreached}

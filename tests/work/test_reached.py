@@ -135,6 +135,16 @@ def test_boundary_elements_and_their_reference_are_compared_where_either_ends(tm
                 assert_allclose(result.displacement[place], alone, rtol=0, atol=1e-6 * largest, err_msg=name)
 
 
+def test_a_case_that_no_model_answers_to_its_full_load_is_not_all_done(tmp_path: Path) -> None:
+    text = _written(tmp_path, [1.0]).read_text()
+    text = text.replace('"vdm-vector", "fem"', '"bem:nonlinear"').replace('reference = "fem"', "")
+    (tmp_path / "soft.toml").write_text(text)
+    result = vdmbench("run", "soft.toml", "--out", "out", "--cache", tmp_path / "cache", cwd=tmp_path)
+    assert result.returncode == 3, result.stdout + result.stderr
+    assert "the nonlinear balance was not found beyond 0." in result.stdout.replace("\n  ", " ")
+    assert vdmbench("report", "out", cwd=tmp_path).returncode == 3
+
+
 def test_a_reference_without_any_answer_stops_alone(tmp_path: Path) -> None:
     write_study(tmp_path, small=('"0.1 N"', '"1e-18 N"'), coarse=('"16 mm"', '"30 mm"'),
                 finite=("fem-linear", "fem"), levels=("[load]", "[uncertainty]\nlevels = 2\n[load]"))  # fmt: skip
