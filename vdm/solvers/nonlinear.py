@@ -205,9 +205,10 @@ class NonlinearSolver:
     The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
     slope of the state itself, or near the balance, Anderson acceleration mixes the corrections, also by what the
     last loads told of the slope. A last shift closes the volumes to rounding. A load step starts from the last
-    converged one and is halved where it fails; one that failed holds the last balance on the way to its load, and
-    the next step starts where it did. Where the held nodes are moved, the body starts carried along as they are,
-    best fit by a rigid motion.
+    converged one. Where it fails it is tried again with all corrections mixed, or with none far from balance, as
+    the last one was not; then it is halved. One that failed holds the last balance on the way to its load, and the
+    next step starts where it did. Where the held nodes are moved, the body starts carried along as they are, best
+    fit by a rigid motion.
 
     Parameters
     ----------
@@ -224,7 +225,7 @@ class NonlinearSolver:
         self.body: Large = body or Whole(problem, self.factor)
         self.free = self.body.free
         self._free_nodes = np.flatnonzero(self.free)
-        self._anderson = Anderson(HISTORY)
+        self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
         # a node that leaves the body by several of its sizes will not come back
         size = float(np.ptp(problem.body.rest, axis=0).max())
         self.reach = FURTHEST * size
@@ -261,11 +262,12 @@ class NonlinearSolver:
         self._number += 1
         if previous is None:
             self._number, self._path, self._largest = 0, self._starts, 0.0
-            self._anderson = Anderson(HISTORY)
+            self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
         last = self._path[-1]
         x, pressure = self._ahead(load)
         reached, width, iterations, used, lacking = 0.0, 1.0, 0, 0, np.inf
         balance: Balance | None = None
+        has_other = self.body.has_slope
         while reached < 1.0:
             target = min(reached + width, 1.0)
             found, used, lacking = self._solve(
@@ -274,6 +276,10 @@ class NonlinearSolver:
             iterations += used
             if found is None or used > HISTORY:  # on so bent a path the slopes of here mislead further on
                 self._anderson = Anderson(HISTORY)
+            if found is None and has_other:  # a slope misses what strains within, a mixture what turns
+                self._mixes, has_other = not self._mixes, False
+                continue
+            has_other = self.body.has_slope
             if found is None:
                 if reached == 0.0:
                     x, pressure = last.x, last.pressure
@@ -411,7 +417,7 @@ class NonlinearSolver:
                 return self._close_volume(load, balance, turn), iteration, left
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
             x = x.copy()
-            if not body.has_slope or residual < NEAR * balance.scale:
+            if self._mixes or residual < NEAR * balance.scale:
                 iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
                 mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
                 change = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn) - x[nodes]
