@@ -28,16 +28,20 @@ from vdm.peers.bem_sparse import HalfFormulation, HalvedFormulation, SparseFormu
 from vdm.problem import Problem, Step
 from vdm.solution import SolverError
 from vdm.solvers.linear import BorderedFactor, LinearSolver
-from vdm.surface import rigid_basis
+from vdm.surface import SurfaceError, rigid_basis
 
 _Coarse = tuple[LinearSolver, float]
 
 
 def coarse_solver(problem: Problem, make: type[SparseFormulation], *given: Any) -> LinearSolver | None:
-    """Of the problem on a coarser form, made of what is `given`; None of a mesh hardly more than its supports."""
+    """Of the problem on a coarser form, made of what is `given`.
+
+    None of a mesh that is hardly more than its supports, or of which no coarse one is a body: a cavity near the
+    surface sticks out of it.
+    """
     try:
         return LinearSolver(replace(problem, formulation=make(*given)))
-    except (SolverError, np.linalg.LinAlgError):
+    except (SolverError, SurfaceError, np.linalg.LinAlgError):
         return None
 
 

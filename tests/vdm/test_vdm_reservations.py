@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from tests.vdm.vdm_shapes import box, icosphere, pressed
-from vdm import Load, Model, Parameters, SurfaceMesh
+from vdm import Load, Model, Parameters, SurfaceError, SurfaceMesh
 from vdm.bending import bendings
+from vdm.boundary.coarsening import coarsened
 from vdm.peers.bem_sparse import HalvedFormulation
 from vdm.reservations import LIMIT, reserved
 from vdm.solution import CONVERGED
@@ -118,6 +119,22 @@ def test_no_other_form_has_one_nor_a_body_on_springs_nor_a_load_of_nothing() -> 
         solution = model.solve([nothing])
         assert "mesh_error" not in solution.scalars
         assert not solution.status[0].message
+
+
+def test_a_cavity_that_sticks_out_of_every_coarse_surface_leaves_the_answer() -> None:
+    """A wall thinner than what coarse facets cut off."""
+    (x, outer), (y, inner) = icosphere(2, (0.05, 0.05, 0.05)), icosphere(1, (0.005, 0.005, 0.005))
+    under = x[outer[200]].mean(axis=0)
+    points = np.vstack([x, y + 0.0435 * under / np.linalg.norm(under)])
+    surface = SurfaceMesh(points, np.vstack([outer, inner[:, ::-1] + len(x)]))
+    for less in (2, 8):
+        with pytest.raises(SurfaceError, match="do not bound one body"):
+            coarsened(surface, surface.n_nodes // less)
+    material, fixed = Parameters(shear_modulus=1e3), points[:, 2] > 0.03
+    model = Model(points, surface.triangles, material, formulation="bem", solver="nonlinear", fixed=fixed)
+    solution = model.solve([Load(np.where(np.abs(points[:, 0]) > 0.04, 10.0, 0.0))])
+    assert solution.status[0].ok
+    assert "mesh_error" not in solution.scalars
 
 
 @pytest.mark.parametrize("which", ["bending", "mesh", "shape"])
