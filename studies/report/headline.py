@@ -226,7 +226,7 @@ def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
         costs = {key: (value, "s") for key, value in times.items()}
         costs |= {"seconds_everywhere": (known.everywhere, "s"), "peak_bytes": (known.memory, "B")}
         spreads = {metric: (digest.spread(name, metric), unit) for metric, unit in units.items()}
-        spreads |= {key: (Spread(value), unit) for key, (value, unit) in costs.items()}
+        spreads |= {key: (Spread(value, cases=known.cases), unit) for key, (value, unit) in costs.items()}
         found[name] = {
             key: plain(spread) | {"unit": unit}
             for key, (spread, unit) in spreads.items()
