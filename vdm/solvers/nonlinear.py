@@ -255,7 +255,7 @@ class NonlinearSolver:
             self.begin_at(load, found.x, found.pressure)
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
-        """Solution of one load; with a previous step, started where the last three converged ones point to.
+        """Solution of one load; with a previous step, started where the last converged ones point to.
 
         A start and what is known of the slope change the number of iterations, not what they converge to.
         """
