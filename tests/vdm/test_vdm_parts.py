@@ -330,6 +330,30 @@ def test_no_slope_is_kept_of_a_load_that_ended_far_from_its_balance() -> None:
     assert_allclose(corrections[0], corrections[1], rtol=0.0, atol=1e-6 * size)
 
 
+def test_a_step_that_fails_is_corrected_the_other_way_before_it_is_halved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With all corrections mixed, or with none where they were; each share of a load by both."""
+    asked: list[tuple[float, float, bool]] = []
+    solve = NonlinearSolver._solve
+
+    def failing(self: NonlinearSolver, load: Load, x: Array, pressure: Array, shares: Any) -> Any:
+        asked.append((*shares, self._mixes))
+        return (None, 0, np.inf) if len(asked) <= 3 else solve(self, load, x, pressure, shares)
+
+    monkeypatch.setattr(NonlinearSolver, "_solve", failing)
+    body = Parts(clamped(ROD, share=0.3).problem, 2)
+    step = NonlinearSolver(body.problem, body, body.factor).step(at_tip(ROD[0], np.array([0.0, 0.0, 1e-4])))
+    assert step.status.ok
+    assert asked == [
+        (0.0, 1.0, False),
+        (0.0, 1.0, True),
+        (0.0, 0.5, True),
+        (0.0, 0.5, False),
+        (0.5, 1.0, False),
+    ]
+
+
 def test_parts_at_small_displacements_are_one_body() -> None:
     """Without a matrix of the whole: symmetric, solved by its factor, and 0.5 % from the whole body's."""
     model = clamped(BAR, solver="linear")
