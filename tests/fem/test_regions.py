@@ -54,6 +54,21 @@ def test_bar_of_two_materials(solver: str, verified: Verified) -> None:
     )
 
 
+def test_displacement_elements_of_two_stiffnesses_in_a_rigid_tube() -> None:
+    """No pressure stands for lambda, which is each half's own; exact as above."""
+    b = cube(2)
+    held = b.surface < 1e-12
+    held[:, :2] |= b.surface[:, :2] > 1.0 - 1e-12
+    problem = b.problem(
+        held, youngs_modulus=np.where(_upper(b), 4.0, 1.0), poisson_ratio=0.3, element="P2", solver="direct"
+    )
+    s = problem.solve([b.load(0.2 * b.facets_where(lambda x: x[:, 2] > 1.0 - 1e-9))])
+    modulus = 0.7 / (1.3 * 0.4)
+    z = b.surface[:, 2]
+    exact = -0.2 / modulus * (np.minimum(z, 0.5) + np.maximum(z - 0.5, 0.0) / 4.0)
+    assert np.abs(s.displacement[0] - np.stack([0.0 * z, 0.0 * z, exact], axis=1)).max() < 1e-11
+
+
 # ---------------------------------------------------------------- spheres of two layers
 
 
