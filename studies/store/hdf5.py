@@ -63,11 +63,11 @@ def hdf5_image(
     access.set_fclose_degree(h5f.CLOSE_STRONG)  # and with it whatever is open in it
     access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
     access.set_alignment(1, _ALIGNED)
-    file = h5f.create(b"case.h5", h5f.ACC_TRUNC, fapl=access)
+    file = h5f.create(b"case.h5", h5f.ACC_TRUNC, fcpl=_timeless(h5p.FILE_CREATE), fapl=access)
     blocks = {}
     for entry in entries:
         if entry.values is None:
-            owner = h5g.create(file, entry.path.encode())
+            owner = h5g.create(file, entry.path.encode(), gcpl=_timeless(h5p.GROUP_CREATE))
         else:
             owner, blocks[entry.path] = _dataset(file, entry.path, np.ascontiguousarray(entry.values))
         for name, value in entry.attributes.items():
@@ -80,12 +80,17 @@ def hdf5_image(
     return image, slice(place.offset, place.offset + len(told))
 
 
+def _timeless(kind: Any) -> Any:
+    """How an object of a file is made: the same numbers are the same bytes, whoever writes them when."""
+    how = h5p.create(kind)
+    how.set_obj_track_times(False)
+    return how
+
+
 def _dataset(file: Any, path: str, values: NDArray[Any]) -> tuple[Any, Block]:
-    how = h5p.create(h5p.DATASET_CREATE)
-    how.set_obj_track_times(False)  # the same numbers, the same bytes, whoever writes them when
     kind = h5t.py_create(values.dtype, logical=True)
     space = h5s.create_simple(values.shape) if values.shape else _SCALAR
-    dataset = h5d.create(file, path.encode(), kind, space, dcpl=how)
+    dataset = h5d.create(file, path.encode(), kind, space, dcpl=_timeless(h5p.DATASET_CREATE))
     if not values.size:
         return dataset, Block(0, values.dtype.str, values.shape)
     dataset.write(h5s.ALL, h5s.ALL, values)
