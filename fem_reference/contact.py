@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
-from fem_reference.indenter import Indenter
+from fem_reference.indenter import Indenter, told_sunk
 from fem_reference.linear import LinearProblem, Load
 from fem_reference.linear_algebra import BATCH
 from fem_reference.loads import loads_at
@@ -105,6 +105,8 @@ class ContactProblem:
             sums = np.bincount(place.ravel(), weights=(values @ points).ravel(), minlength=count)
             return np.asarray(sums, dtype=np.float64)
 
+        self._gap_at = np.where(measure > 0.0, gap, np.inf)
+        self._corners, self._shares = mesh.triangles[facets], points
         self._area = summed(measure)
         self._gap = summed(measure * np.where(np.isfinite(gap), gap, 0.0))
         local = np.einsum("fq,qa,qi->fai", measure, mesh.facet_functions(points), points)
@@ -149,6 +151,7 @@ class ContactProblem:
         loads = [self._loaded(b, force) for b, force in zip(bases, self._forces(pressures), strict=True)]
         solution = self.problem.solve(loads)
         gaps = (lifted - np.outer(depths, self._area) + pressures @ self.compliance) / self._area
+        inside = np.array([self._inside(*step) for step in zip(solution.displacement, depths, strict=True)])
         at_surface = np.zeros((len(depths), len(mesh.surface_nodes)))
         at_surface[:, self.vertices] = pressures
         return ContactSolution(
@@ -159,9 +162,17 @@ class ContactProblem:
             least_gap=gaps.min(axis=1),
             changes=changes,
             status=tuple(
-                _outcome(own, done) for own, done in zip(solution.status, settled.tolist(), strict=True)
+                told_sunk(_outcome(own, done), sunk, depth)
+                for own, done, sunk, depth in zip(
+                    solution.status, settled.tolist(), inside, depths, strict=True
+                )
             ),
         )
+
+    def _inside(self, displacement: Array, depth: float) -> float:
+        """The deepest that a point of the surface is inside the indenter [m]; displacement (N, 3) of its nodes."""
+        moved = (displacement @ self.indenter.axis)[self._corners] @ self._shares.T
+        return float(np.clip(depth - self._gap_at - moved, 0.0, None).max())
 
     def _lifted(self, loads: Sequence[Load]) -> Array:
         """(S, C) sums of the gaps that these loads alone leave; one load after another is often the same."""

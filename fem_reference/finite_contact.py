@@ -29,7 +29,6 @@ _PENALTY = 300.0  # of a shear modulus per mean edge
 _CUTS = 6  # of an edge: a surface that crosses the axis has a point of this lattice near it
 _LATTICE = np.array([(i, j, _CUTS - i - j) for i in range(_CUTS + 1) for j in range(_CUTS + 1 - i)]) / _CUTS
 _APART = 1.0 / 3.0  # of an edge, the points at which a facet is held off
-COARSE = 0.1  # of the depth, that a mesh may leave the surface inside without a word
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.assembly import coupling_pattern, scalar_pattern
 from fem_reference.condition import condition_estimate
-from fem_reference.finite_contact import COARSE, Indentation, RigidContact
+from fem_reference.finite_contact import Indentation, RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.finite_strain_outputs import OUTPUTS, Record
 from fem_reference.follower import FollowerPressure
-from fem_reference.indenter import Indenter
+from fem_reference.indenter import Indenter, told_sunk
 from fem_reference.linear import Fields
 from fem_reference.load_path import LoadPath
 from fem_reference.loads import (
@@ -45,7 +45,7 @@ from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
 from solver_common.arrays import Array
 from solver_common.quadrature import facet_quadrature
-from solver_common.solution import Status, solver_error
+from solver_common.solution import solver_error
 
 __all__ = ["OUTPUTS", "PRESSURES", "FiniteStrainProblem", "Load"]
 
@@ -321,11 +321,7 @@ class FiniteStrainProblem:
             self._newton.contact = None
         record.end()
         solution = record.solution(self.seconds_setup, self._told(), {})
-        coarse = inside > COARSE * np.abs(depths)
-        status = [
-            _sunk(one, sunk) if bad else one
-            for one, sunk, bad in zip(solution.status, inside, coarse, strict=True)
-        ]
+        status = [told_sunk(*step) for step in zip(solution.status, inside, depths, strict=True)]
         solution = replace(solution, status=tuple(status))
         return Indentation(solution, force, penalty, area, inside)
 
@@ -413,14 +409,6 @@ class FiniteStrainProblem:
             nodal_forces(self.mesh, [dead], self.density)[0] / (self.shear_modulus * length**2),
             prescribed_nodes(self.mesh, [load])[0] / length,
         )
-
-
-def _sunk(status: Status, inside: float) -> Status:
-    """The status of a step whose mesh is coarse beside the indenter."""
-    remedy = "use a finer mesh where the indenter touches"
-    return replace(
-        status, message=f"the surface is up to {1e3 * inside:.2g} mm inside the indenter", remedy=remedy
-    )
 
 
 _bad_option = partial(solver_error, "bad-option")

@@ -7,14 +7,16 @@ depth d fills e.y < d - h(y), h the height. A point is outside where its gap c =
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from solver_common.arrays import Array
-from solver_common.solution import solver_error
+from solver_common.solution import Status, solver_error
+
+COARSE = 0.1  # of the depth, that a mesh may leave the surface inside without a word
 
 
 class Shape(ABC):
@@ -128,6 +130,14 @@ class Indenter:
         y = points - np.asarray(self.tip, dtype=np.float64)
         along = y @ self.axis
         return along + self.shape.height(y - along[..., None] * self.axis)
+
+
+def told_sunk(status: Status, inside: float, depth: float) -> Status:
+    """The status of a step, told where the surface is left inside [m] by more than `COARSE` of the depth [m]."""
+    if not status.ok or inside <= COARSE * abs(depth):
+        return status
+    message = f"the surface is up to {1e3 * inside:.2g} mm inside the indenter"
+    return replace(status, message=message, remedy="use a finer mesh where the indenter touches")
 
 
 def _cap(radius: float, squares: Array) -> Array:

@@ -15,6 +15,7 @@ from fem_reference.finite_contact import RigidContact
 from fem_reference.indenter import Capsule, FlatPunch, Indenter, Shape, Sphere
 from fem_reference.linear import LinearProblem
 from fem_reference.mesh import TetMesh
+from fem_reference.solution import CONVERGED
 from tests.fem.shapes import Body, cube, mapped_box
 from tests.verification.records import Verified
 
@@ -107,6 +108,7 @@ def test_sphere_on_a_half_space(poisson_ratio: float, verified: Verified) -> Non
     """Contact radius 1 under a sphere of radius 20."""
     exact = Hertz(20.0, 0.05, 1.0 / (1.0 - poisson_ratio**2))
     b, s = _half_space(Sphere(20.0), 0.05, poisson_ratio, 5, exact.force)
+    assert s.status == (CONVERGED,)
     title = f"nu = {poisson_ratio}, 5 cells to 1.4 contact radii"
     verified.equal(f"{title}: force", 4.0 * s.force[0], exact.force, rtol=0.015)
     area = np.zeros(len(b.surface))
@@ -292,8 +294,12 @@ def test_an_indenter_never_goes_through_the_surface() -> None:
 
 
 def test_a_mesh_too_coarse_for_its_indenter_is_told() -> None:
-    b = cube(4)
-    found = b.finite(b.bottom, **SOFT).indent(Indenter(Sphere(0.13), (0.6, 0.55, 1.0), DOWN), b.top, [0.03])
+    b, indenter = cube(4), Indenter(Sphere(0.13), (0.6, 0.55, 1.0), DOWN)
+    linear = ContactProblem(b.problem(b.bottom, poisson_ratio=0.45), indenter, b.surface[:, 2] == 1.0)
+    (status,) = linear.solve([0.03]).status
+    assert status.ok
+    assert "inside the indenter" in status.message
+    found = b.finite(b.bottom, **SOFT).indent(indenter, b.top, [0.03])
     assert found.solution.status[0].ok
     assert found.inside[0] > 0.1 * 0.03
     assert "inside the indenter" in found.solution.status[0].message
