@@ -507,9 +507,7 @@ def _weights(products: Array, degree: int) -> Array:
 
 
 def _between(start: Load, end: Load, share: float) -> Load:
-    """The load at a share of the way from one to another."""
-    if share == 1.0:
-        return end
+    """The load at a share of the way from one to another: one of its own for each attempt."""
 
     def mix(a: Array | None, b: Array | None) -> Array | None:
         if b is None:
