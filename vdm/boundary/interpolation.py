@@ -74,9 +74,10 @@ def _cell(ring: sparse.csr_array, stencil: Index, coarse: Array, targets: Array)
         weights = _polyharmonic(coarse[stencil], targets)
         off = np.abs(weights @ coarse[stencil] - targets).max()
         exact = off <= ROUNDING * np.ptp(coarse[stencil], axis=0).max()
+        if exact and np.abs(weights).sum(axis=1).max() <= LARGEST_SUM:
+            return stencil, weights
         wider = _around(ring, stencil)
-        # a whole shell, as of a small cavity, has nothing around it
-        if (exact and np.abs(weights).sum(axis=1).max() <= LARGEST_SUM) or len(wider) == len(stencil):
+        if len(wider) == len(stencil):  # a whole shell, as of a small cavity, has nothing around it
             return stencil, weights
         stencil = wider
 
