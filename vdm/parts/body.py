@@ -64,7 +64,6 @@ class _Acting:
 
     Attributes
     ----------
-    load : that it is under
     state : (n_p,) surfaces of all parts
     turns : (m, 3, 3) their rotations
     away : (n_p, 3) displacement in each part's frame
@@ -75,7 +74,6 @@ class _Acting:
     filled : (n_p, 3, k) gradient of the volumes of the cavities that a fluid fills
     """
 
-    load: Load
     state: DeformedSurface
     turns: Array
     away: Array
@@ -254,7 +252,7 @@ class Parts:
             weight = (self.rest + x) @ rise - float((problem.body.rest @ rise).min())
             on_surface = on_surface - weight[:n_surface, None] * outer.area_vectors
         energy = 0.5 * float(np.vdot(away, forces))
-        acting = _Acting(load, state, turns, away, energy, on_surface, weight, rise, filled)
+        acting = _Acting(state, turns, away, energy, on_surface, weight, rise, filled)
         return Balance(load, x, pressure, gap, internal - applied, scale, acting)
 
     def _each(self) -> Iterator[tuple[Part, slice]]:
@@ -360,12 +358,12 @@ class Parts:
         )
         is_far = lacks >= NEAR
         before, last = self._lacked
-        if balance.parts.load is not self._load:
+        if balance.load is not self._load:
             gains, last = last < NEAR, np.inf
         else:
             gains = lacks <= (MOST_LEFT * last if is_far else before)
         if lacking.any():
-            self._lacked, self._load = (last, lacks), balance.parts.load
+            self._lacked, self._load = (last, lacks), balance.load
         slope = self._slope if gains else None
         if slope is None or (is_far and np.abs(turns - slope.turns).max() > SAME_TURN):
             slope = self._slope = self._slope_at(balance, self._joined_at(turns))
