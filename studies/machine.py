@@ -21,15 +21,13 @@ import shutil
 import tempfile
 from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from typing import Any
 
 _PART = ".part"  # ends the names of files being written, which nothing reads
 _LONGEST = 200  # characters of a name that its temporary file repeats: file systems take 255 bytes
 _LEAST_MEMORY = 3_000_000_000  # B of a shell's limit: the solvers' libraries and their buffers
 _DIGEST_BYTES = 32  # a SHA-256 ends a file of arrays; readers of .npz do not mind it
+_FORMAT = b"\1"  # part of that: files of another layout are made again
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 _CONTAINER = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")  # versions 2 and 1
 _PROCESSORS = Path("/proc/cpuinfo")
@@ -170,32 +168,60 @@ def lock(path: Path, *, shared: bool = False, wait: bool = False) -> Iterator[No
 # --- arrays under a seal, of the file's name too, which is its content key ---
 
 
-def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Store named arrays as .npz, whole or not at all. Raises OSError."""
+def packed(value: Any = None, **parts: Any) -> bytes:
+    """The fields of a dataclass and further values as the bytes of an .npz, which `unpacked` takes back.
+
+    Arrays, mappings of arrays by name, and whatever JSON has.
+    """
     import numpy as np
 
+    named = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)} if value else {}
+    arrays: dict[str, Any] = {}
+    about: dict[str, Any] = {}
+    for name, part in (named | parts).items():
+        if isinstance(part, np.ndarray):
+            arrays[name] = part
+        elif part and isinstance(part, Mapping) and all(isinstance(one, np.ndarray) for one in part.values()):
+            arrays |= {f"{name}/{key}": one for key, one in part.items()}
+        else:
+            about[name] = part
     buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
-    content = buffer.getvalue()
+    np.savez(buffer, allow_pickle=False, about=np.array(json_text(about)), **arrays)
+    return buffer.getvalue()
+
+
+def unpacked(content: bytes) -> dict[str, Any]:
+    """The values that `packed` was given, by name; of a dataclass in them its fields."""
+    import numpy as np
+
+    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
+        found: dict[str, Any] = json.loads(str(stored["about"]))
+        for name in stored:
+            outer, inside, key = name.partition("/")
+            if inside:
+                found.setdefault(outer, {})[key] = stored[name]
+            elif name != "about":
+                found[name] = stored[name]
+    return found
+
+
+def write_arrays(path: Path, value: Any = None, **parts: Any) -> None:
+    """Store what `packed` takes, whole or not at all. Raises OSError."""
+    content = packed(value, **parts)
     # many and small, each told by its seal and made again where it is cut: none is worth a wait for the disk
     write_atomically(path, content + _seal(path, content), durable=False)
 
 
-def read_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
-    """The arrays stored at `path`, or None where there is no file, or one that is damaged or not its own.
+def read_arrays(path: Path) -> dict[str, Any] | None:
+    """What is stored at `path`, or None where there is no file, or one that is damaged or not its own.
 
     Raises
     ------
     OSError
         the file may not be read.
     """
-    import numpy as np
-
     content = _content(path)
-    if content is None:
-        return None
-    with np.load(io.BytesIO(content), allow_pickle=False) as stored:
-        return {name: stored[name] for name in stored}
+    return None if content is None else unpacked(content)
 
 
 def is_sound(path: Path) -> bool:
@@ -213,7 +239,7 @@ def _content(path: Path) -> bytes | None:
 
 
 def _seal(path: Path, content: bytes) -> bytes:
-    return hashlib.sha256(path.name.encode() + b"\0" + content).digest()
+    return hashlib.sha256(path.name.encode() + _FORMAT + content).digest()
 
 
 # --- processors and memory ---

@@ -158,7 +158,7 @@ def test_the_cache_does_not_wait_for_the_disk_and_results_do(
 ) -> None:
     waits: list[int] = []
     monkeypatch.setattr(os, "fsync", waits.append)
-    write_arrays(tmp_path / "a.npz", {"a": np.ones(3)})
+    write_arrays(tmp_path / "a.npz", a=np.ones(3))
     assert waits == []
     write_atomically(tmp_path / "b", b"b")
     assert len(waits) == 1

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from solver_common.arrays import Index
 
 from ..machine import read_arrays, write_arrays
 from ..study.shapes import Geometry, geometry_key
 from .mesh import Mesh
+
+_NO_PARENTS = np.empty((0, 2), dtype=np.int64)
 
 
 def mesh_from_cache(geometry: Geometry, cache_dir: Path, *, volume: bool = True) -> Mesh:
@@ -47,36 +46,10 @@ def read_level(path: Path) -> tuple[Mesh, Index] | None:
     stored = read_arrays(path)
     if stored is None:
         return None
-    groups, volumes = (
-        {name.removeprefix(kind): stored[name] for name in stored if name.startswith(kind)}
-        for kind in ("group/", "volume/")
-    )
-    mesh = Mesh(
-        points=stored["points"],
-        tetrahedra=stored["tetrahedra"],
-        surface_nodes=stored["surface_nodes"],
-        triangles=stored["triangles"],
-        groups=groups,
-        volumes=volumes,
-        quality=json.loads(str(stored["quality"])),
-        moved=stored.get("moved"),
-    )
-    return mesh, stored.get("parents", np.empty((0, 2), dtype=np.int64))
+    parents = stored.pop("parents")
+    return Mesh(**stored), parents
 
 
-def write_mesh(path: Path, mesh: Mesh, parents: Index | None = None) -> None:
+def write_mesh(path: Path, mesh: Mesh, parents: Index = _NO_PARENTS) -> None:
     """Store a mesh, of a refinement with its parents, whole or not at all. Raises OSError."""
-    arrays: dict[str, NDArray[Any]] = {
-        "points": mesh.points,
-        "tetrahedra": mesh.tetrahedra,
-        "surface_nodes": mesh.surface_nodes,
-        "triangles": mesh.triangles,
-        "quality": np.array(json.dumps(dict(mesh.quality), sort_keys=True)),
-    }
-    if mesh.moved is not None:
-        arrays["moved"] = mesh.moved
-    if parents is not None:
-        arrays["parents"] = parents
-    arrays |= {f"volume/{name}": mask for name, mask in mesh.volumes.items()}
-    arrays |= {f"group/{name}": mask for name, mask in mesh.groups.items()}
-    write_arrays(path, arrays)
+    write_arrays(path, mesh, parents=parents)

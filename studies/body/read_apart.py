@@ -5,20 +5,15 @@ That process has little memory and time, by the file's size, and hands back arra
 
 from __future__ import annotations
 
-import io
-import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from solver_common.arrays import Array
 
-from solver_common.arrays import Array, Index
-
+from ..machine import packed, unpacked
 from ..study.errors import MeshError
 from ..study.shapes import VOLUME_SUFFIXES
 from .repair import Clean, clean_surface, clean_tetrahedra
@@ -33,17 +28,17 @@ _DAMAGED = "it is damaged or of another kind"
 
 def clean_of(path: Path, repair: str = "") -> Clean:
     """The closed surface, repaired as asked, or where a file has them the tetrahedra. Raises MeshError."""
-    return Clean(*_unpacked(_apart(f"clean {repair}", path)))
+    return Clean(**_apart(f"clean {repair}", path))
 
 
 def point_fields_of(path: Path) -> tuple[Array, dict[str, Array]]:
     """`mesh_file.read_point_fields` of a file that may be damaged, or unpack to any size. Raises MeshError."""
-    points, _, _, fields = _unpacked(_apart("fields", path))
-    return points, fields
+    found = _apart("fields", path)
+    return found["points"], found["fields"]
 
 
-def _apart(what: str, path: Path) -> bytes:
-    """What `main` answers. Raises MeshError."""
+def _apart(what: str, path: Path) -> dict[str, Any]:
+    """What `main` answers, by name. Raises MeshError."""
     size = path.stat().st_size
     memory, seconds = MEMORY + MEMORY_PER_BYTE * size, SECONDS + SECONDS_PER_BYTE * size
     command = [sys.executable, "-P", "-m", "vdmbench.body.read_apart", what, str(path), str(memory)]
@@ -68,31 +63,10 @@ def _apart(what: str, path: Path) -> bytes:
         raise MeshError(too_large)
     if ended.returncode > 0 or not ended.stdout:
         raise MeshError(f"cannot be read; {_DAMAGED}")
-    return ended.stdout
-
-
-def _packed(
-    points: Array, cells: Index, named: Mapping[str, NDArray[Any]], repairs: Mapping[str, float]
-) -> bytes:
-    about = np.array(json.dumps([list(named), repairs]))
-    arrays = {f"named{k}": values for k, values in enumerate(named.values())}
-    return _npz(points=points, cells=cells, about=about, **arrays)
-
-
-def _npz(**arrays: Any) -> bytes:
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    return file.getvalue()
-
-
-def _unpacked(data: bytes) -> tuple[Array, Index, dict[str, float], dict[str, NDArray[Any]]]:
-    """Points, cells, repairs, and arrays by their names. Raises MeshError where it is a sentence."""
-    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-        if "error" in stored:
-            raise MeshError(str(stored["error"]))
-        names, repairs = json.loads(str(stored["about"]))
-        named = {name: stored[f"named{k}"] for k, name in enumerate(names)}
-        return stored["points"], stored["cells"], repairs, named
+    found = unpacked(ended.stdout)
+    if "error" in found:
+        raise MeshError(found["error"])
+    return found
 
 
 def read_clean(path: Path, repair: str = "") -> Clean:
@@ -118,12 +92,11 @@ def main(what: str, path: Path, memory: int) -> None:
     try:
         if what == "fields":
             points, fields = read_point_fields(path)
-            answer = _packed(points, np.empty((0, 0), dtype=np.int64), fields, {})
+            answer = packed(points=points, fields=fields)
         else:
-            clean = read_clean(path, what.removeprefix("clean "))
-            answer = _packed(clean.points, clean.cells, clean.groups, clean.repairs)
+            answer = packed(read_clean(path, what.removeprefix("clean ")))
     except MeshError as error:
-        answer = _npz(error=np.array(str(error)))
+        answer = packed(error=str(error))
     except MemoryError:
         os._exit(_NO_MEMORY)  # at once: what is left to do would want memory too
     with os.fdopen(output, "wb") as file:

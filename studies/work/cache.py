@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from solver_common.arrays import Index
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
-from ..machine import plain, processor_name, read_arrays, write_arrays
+from ..machine import processor_name, read_arrays, write_arrays
 from ..scene.result import ModelResult
 from ..store.plain import typed
 
@@ -38,28 +37,19 @@ def answer_path(cache: Path, key: str) -> Path:
 
 def write_answer(path: Path, result: ModelResult) -> None:
     """Store an answer, with the processor that its times are of. Raises OSError."""
-    about = plain(result, without=(*STEPS, "scalars", "part_of_node", "frames"))
-    about["processor"] = processor_name()  # the cache may be copied to another machine
-    arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
-    arrays |= {name: getattr(result, name) for name in STEPS}
-    arrays |= {f"scalar/{name}": values for name, values in result.scalars.items()}
-    if result.part_of_node is not None:
-        arrays["part_of_node"] = result.part_of_node
-    write_arrays(path, arrays)
+    # of this machine, for the cache may be copied to another; frames are measured anew in each run
+    write_arrays(path, result, processor=processor_name(), frames=None)
 
 
 def read_answer(path: Path) -> ModelResult | None:
     """The answer stored at `path`, marked where another processor took its times; None where none is sound."""
-    arrays = read_arrays(path)
-    if arrays is None:
+    stored = read_arrays(path)
+    if stored is None:
         return None
-    about = json.loads(str(arrays.pop("about")))
-    if about["processor"] != processor_name():
-        about["parameters"][ELSEWHERE] = about["processor"]
-    known: dict[str, Any] = {name: arrays.pop(name) for name in STEPS}
-    known["part_of_node"] = arrays.pop("part_of_node", None)
-    known["scalars"] = {name.removeprefix("scalar/"): values for name, values in arrays.items()}
-    return typed(ModelResult, about, **known)
+    if stored["processor"] != processor_name():
+        stored["parameters"][ELSEWHERE] = stored["processor"]
+    arrays = {name: stored[name] for name in (*STEPS, "scalars", "part_of_node")}
+    return typed(ModelResult, stored, **arrays)
 
 
 def stored_answer(cache: Path, key: str) -> ModelResult:
