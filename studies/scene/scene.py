@@ -177,6 +177,10 @@ class Scene:
         factor = self.factors_at(np.array([place]))
         return replace(self, load_factors=factor, gravity=min(place, 1.0) * self.gravity)
 
+    def raised(self, factor: float) -> Scene:
+        """One step in which all that acts is so many times what it is at load factor 1, the weight too."""
+        return replace(self, load_factors=np.array([factor]), gravity=factor * self.gravity)
+
     @property
     def contact(self) -> Mask:
         """(N,) nodes that carry contact pressure."""

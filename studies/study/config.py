@@ -12,7 +12,7 @@ from typing import Any
 import tomli_w
 
 from .checks import validate
-from .errors import Finding, Loc, MeshError, Problem, Source, StudyError, file_fault, unknown, value_at
+from .errors import Finding, MeshError, Problem, Source, StudyError, file_fault, unknown, value_at
 from .fields import targets
 from .files import changed_keys, merged
 from .kinds import MAX_NAME, Enters, is_safe_name
@@ -27,7 +27,6 @@ from .sweep import (
     first_case,
     read_axes,
     read_inputs,
-    substituted,
     variations,
 )
 from .toml_lines import TooLarge, key_lines, statements
@@ -78,7 +77,7 @@ def load_study(
     findings += [(at_axis.get(loc, loc), text) for loc, text in faults]
     findings += _changed_in_vain(axes, changes, data)
     if study is not None:
-        findings += _check_limits(base, axes, study)
+        findings += _check_limits(axes, study)
     if study is None or findings:
         raise source.error(findings, base)
     expand(study)
@@ -118,11 +117,11 @@ def expand(study: Study) -> list[ResolvedCase]:
 
 
 def resolved(study: Study) -> dict[str, Any]:
-    """Everything that a study says, as plain JSON, but for its sweep in SI units, in an order of its own.
+    """Everything that a study says, as plain JSON, but for its sweep in SI units.
 
     `Study.model_validate` takes it back. Paths are absolute.
     """
-    data = _plain(study, mode="json")
+    data = study.model_dump(mode="json")
     if "inputs" in data:
         data["inputs"] = {one.key: one.written for one in read_inputs(data)[0]}
     return data
@@ -130,7 +129,7 @@ def resolved(study: Study) -> dict[str, Any]:
 
 def geometry_error(study: Study, error: MeshError) -> StudyError:
     """The error of a study whose geometry turned out to be unusable, with the place in its file."""
-    data = _plain(study)
+    data = study.model_dump()
     swept = {axis.key: axis.loc for axis in read_axes(data)[0]}
     key = error.key or ("path" if study.geometry.shape == "file" else "shape")
     loc = swept.get(f"geometry.{key}", ("geometry", key))
@@ -149,51 +148,9 @@ def start_of(study: Study, along: str) -> tuple[float, str]:
     """The load that `limits.along` names, in SI, and its unit: all loads together are once those of the study."""
     if along == ALL_LOADS:
         return 1.0, "1"
-    data = _plain(study)
+    data = study.model_dump()
     target = targets(data)[along]
     return float(value_at(data, target.loc)), target.unit
-
-
-def raised(study: Study, along: str, load: float) -> Study:
-    """The study of one load step with the load that `limits.along` names at another value."""
-    data = _plain(study)
-    if along == ALL_LOADS:
-        values = {loc: load * value for loc, value in _loads_at_work(data).values()}
-    else:
-        values = {targets(data)[along].loc: load}
-    for loc, value in values.items():
-        data = substituted(data, loc, value)
-    return Study.model_validate({**data, "load": {**data["load"], "factors": (1.0,)}})
-
-
-# --- loads ---
-
-
-def _loads(data: Mapping[str, Any]) -> dict[str, Loc]:
-    """Key -> place of every pressure, force, displacement and weight that `data` could have."""
-    return {
-        key: target.loc
-        for key, target in targets(data).items()
-        if target.si is not None
-        and (target.loc[0] == "gravity" or (target.loc[0] == "constraints" and target.loc[2] in LOAD_KEYS))
-    }
-
-
-def _loads_at_work(data: Mapping[str, Any]) -> dict[str, tuple[Loc, float]]:
-    """Key -> place and value of every load in `data`, in SI, that is not zero."""
-    values = {key: (loc, value_at(data, loc)) for key, loc in _loads(data).items()}
-    return {key: (loc, value) for key, (loc, value) in values.items() if isinstance(value, float) and value}
-
-
-# --- plain data ---
-
-
-def _plain(study: Study, **options: Any) -> dict[str, Any]:
-    """The study as it could have been parsed from a file in SI units; named tables sorted by name."""
-    data = study.model_dump(**options)
-    for key in ("regions", "models"):
-        data[key] = dict(sorted(data[key].items()))
-    return data
 
 
 # --- the file ---
@@ -249,11 +206,18 @@ def _with_surface(data: Mapping[str, Any], surface: Path) -> dict[str, Any]:
     return {**data, "geometry": kept} | ({"study": study} if study is not None else {})
 
 
-def _check_limits(data: Mapping[str, Any], axes: Sequence[Axis], study: Study) -> Iterator[Finding]:
+def _check_limits(axes: Sequence[Axis], study: Study) -> Iterator[Finding]:
     """What is wrong with [limits] of a sound study."""
     if study.limits is None:
         return
-    along, loads, at_work = study.limits.along, _loads(data), _loads_at_work(_plain(study))
+    along, data = study.limits.along, study.model_dump()
+    loads = {
+        key: value_at(data, target.loc)
+        for key, target in targets(data).items()
+        if target.si is not None
+        and (target.loc[0] == "gravity" or (target.loc[0] == "constraints" and target.loc[2] in LOAD_KEYS))
+    }
+    at_work = {key for key, value in loads.items() if value}
     others = [key for key in loads if key in {*at_work, *(axis.key for axis in axes)} - {along}]
     if along != ALL_LOADS and along not in loads:
         yield ("limits", "along"), unknown(along, [ALL_LOADS, *loads], "load")

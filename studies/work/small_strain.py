@@ -20,7 +20,7 @@ from ..measures.metrics import mean_indentation
 from ..measures.reference import level_scene
 from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
-from ..study.config import raised, start_of
+from ..study.config import start_of
 from ..study.schema import Study
 
 STRAIN, LARGEST_STRAIN = "p95_principal_strain", "max_principal_strain"
@@ -39,10 +39,10 @@ def small_strain_limits(study: Study, mesh: Mesh) -> SmallStrainLimits:
         raise ValueError("a search for small-strain limits needs [limits] and a reference")
     names = [name for name in study.study.models if name != reference]
     start, unit = start_of(study, asked.along)
-    path = LoadPath(_Evaluator(study, asked.along, Hierarchy((mesh,)), reference), start)
+    path = LoadPath(_Evaluator(study, start, Hierarchy((mesh,)), reference), start)
     found = {name: model_limits(path, name, asked.thresholds) for name in names}
     if study.uncertainty is not None:
-        fine = LoadPath(_Evaluator(study, asked.along, refined(mesh, 1), reference), start)
+        fine = LoadPath(_Evaluator(study, start, refined(mesh, 1), reference), start)
         limits = [limit for entry in found.values() for limit in entry.limits if limit.state == "found"]
         for factor in sorted({SMALL, *(path.factor_of(limit.load) for limit in limits)}):
             fine.at(factor)  # rising: from each the reference goes on to the next
@@ -53,17 +53,17 @@ def small_strain_limits(study: Study, mesh: Mesh) -> SmallStrainLimits:
 class _Evaluator:
     """Runs the reference of one case at a value of the raised load, on the finest mesh, and the other models."""
 
-    def __init__(self, study: Study, along: str, meshes: Hierarchy, reference: str) -> None:
-        self._study, self._along, self._meshes, self._reference = study, along, meshes, reference
-        self._set_up: dict[str, models.Prepared] = {}
+    def __init__(self, study: Study, start: float, meshes: Hierarchy, reference: str) -> None:
         coarsest = meshes.meshes[0]
+        self._start, self._reference = start, reference
+        self._own = build_scene(study, coarsest)
+        self._inside = level_scene(study, meshes) if meshes.parents else self._own
+        self._set_up: dict[str, models.Prepared] = {}
         self._areas = Surface(coarsest.surface_points, coarsest.triangles).areas
 
     def __call__(self, load: float) -> LoadPoint | None:
         """Every model at one load, volumetric ones on the finest mesh; None where the reference has no solution."""
-        raised_study = raised(self._study, self._along, load)
-        own = build_scene(raised_study, self._meshes.meshes[0])
-        inside = level_scene(raised_study, self._meshes) if self._meshes.parents else own
+        own, inside = (scene.raised(load / self._start) for scene in (self._own, self._inside))
         reference = self._answer(inside, self._reference)
         if not _solved(reference):
             return None
@@ -93,7 +93,7 @@ class _Evaluator:
             return models.run_model(scene, name)
         if name not in self._set_up:
             self._set_up[name] = models.Prepared(scene, name, EXPECTED_LOADS, onward=True)
-        return self._set_up[name].answer([scene.load(1.0)])
+        return self._set_up[name].answer(scene.loads)
 
 
 class _Errors(dict[str, float]):
