@@ -106,10 +106,10 @@ def _of_file(geometry: FileBody, volume: bool) -> Mesh:
     if geometry.has_own_tetrahedra:
         mesh = imported_tetrahedra(geometry)
         return mesh if volume else surface_only(mesh)
-    given = imported_surface(geometry, volume=volume)
-    mesh = fill_surface(given.points, given.triangles, geometry.mesh_size or 0.0, volume)
+    given, centre = imported_surface(geometry, volume=volume)
+    mesh = fill_surface(given.points, given.cells, geometry.mesh_size or 0.0, volume)
     quality = {**mesh.quality, **given.repairs}
-    return replace(mesh, points=mesh.points + given.centre, quality=quality)  # where the file has it
+    return replace(mesh, points=mesh.points + centre, quality=quality)  # where the file has it
 
 
 def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool = True) -> Mesh:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -25,38 +25,26 @@ from ..study.shapes import (
 from .mesh import Mesh
 from .read_apart import clean_of
 from .repair import Clean
-from .surface_measures import enclosed_volume, facet_areas, shells
+from .surface_measures import shells
 from .topology import mesh_from_tetrahedra, separate_pieces
 
 
-@dataclass(frozen=True)
-class ImportedSurface:
-    """A closed surface (N, 3) about its centre (3,) [m], its area [m^2] and volume [m^3], and what was repaired.
+def imported_surface(geometry: FileBody, *, volume: bool) -> tuple[Clean, Array]:
+    """The surface of a file about its centre (3,), both in metres, fit to be meshed as asked. Raises MeshError.
 
     It is meshed about its centre, so that far from the origin no digit is lost.
     """
-
-    points: Array
-    centre: Array
-    triangles: Index
-    area: float
-    volume: float
-    repairs: dict[str, float]
-
-
-def imported_surface(geometry: FileBody, *, volume: bool) -> ImportedSurface:
-    """The surface of a file, fit to be meshed as asked. Raises MeshError."""
     clean = _clean(geometry.path, file_digest(geometry.path), geometry.repair or "")
     points, centre, scale = _in_metres(clean.points, geometry)
     size = geometry.mesh_size or 0.0
     check_mesh_size(size, float(np.ptp(points, axis=0).min()))
-    area = float(facet_areas(points, clean.cells).sum())
-    inside = enclosed_volume(points, clean.cells)
+    surface = Clean(
+        points, clean.cells, {"scale": scale, "imported_points": float(len(points)), **clean.repairs}
+    )
     remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
-    check_node_budget(area, inside if volume else 0.0, size, remedy)
+    check_node_budget(surface.area, surface.volume if volume else 0.0, size, remedy)
     _check_cavities(geometry, points, clean.cells)
-    repairs = {"scale": scale, "imported_points": float(len(points)), **clean.repairs}
-    return ImportedSurface(points, centre, clean.cells, area, inside, repairs)
+    return surface, centre
 
 
 @lru_cache(maxsize=1)

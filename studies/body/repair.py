@@ -10,7 +10,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 
 from ..study.errors import MeshError
-from .surface_measures import facet_areas, pieces
+from .surface_measures import enclosed_volume, facet_areas, pieces
 from .topology import (
     check_finite,
     consistent_orientation,
@@ -37,6 +37,16 @@ class Clean:
     cells: Index
     repairs: dict[str, float]
     groups: dict[str, Mask] = field(default_factory=dict)
+
+    @property
+    def area(self) -> float:
+        """Of facets, in the square of the points' unit."""
+        return float(facet_areas(self.points, self.cells).sum())
+
+    @property
+    def volume(self) -> float:
+        """Inside of facets, in the cube of the points' unit."""
+        return enclosed_volume(self.points, self.cells)
 
 
 def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:

@@ -112,7 +112,7 @@ class PlannedMesh:
                 if geometry.has_own_tetrahedra:
                     mesh = imported_tetrahedra(geometry)
                 else:
-                    surface = imported_surface(geometry, volume=self.volume)
+                    surface, _ = imported_surface(geometry, volume=self.volume)
                     area, inside = surface.area, surface.volume
         if mesh is not None:
             return Size(float(len(mesh.surface_points)), float(len(mesh.tetrahedra) if self.volume else 0))

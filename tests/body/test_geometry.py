@@ -228,7 +228,7 @@ def test_a_file_is_read_once_for_several_mesh_sizes(tmp_path: Path, monkeypatch:
     def areas() -> list[float]:
         sizes = (0.01, 0.012)
         found = [shaped("file", size, {"path": str(path), "scale": 1e-3}) for size in sizes]
-        return [imported_surface(geometry, volume=True).area for geometry in found]
+        return [imported_surface(geometry, volume=True)[0].area for geometry in found]
 
     first = areas()
     assert len(reads) == 1
