@@ -59,7 +59,7 @@ class PlacedConstraint:
         """(F, 3) nodes of the facets."""
         return self.mesh.triangles
 
-    def pressure(self, profile: str | None) -> Array:
+    def pressure(self, profile: str) -> Array:
         """(F, Q) pressure of peak 1 over the region.
 
         A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated
@@ -84,11 +84,6 @@ class PlacedConstraint:
             )
         return resultant
 
-    def at_quadrature(self, values: Array) -> Array:
-        """(F, Q) from (N,) values, linear on each facet of the region, 0 on the others."""
-        barycentric, _ = facet_quadrature()
-        return self.pressure(None) * (values[self.triangles] @ barycentric.T)
-
     def edges(self) -> Index:
         """(k, 2) edges of the surface between the nodes of a region that has no facet of its own."""
         triangles, mask = self.triangles, self.nodes
@@ -107,12 +102,12 @@ class PlacedConstraint:
             raise self._error("has no facet; enlarge its region or take a smaller mesh_size")
         return np.asarray(inside)
 
-    def _shape(self, profile: str | None) -> Array:
+    def _shape(self, profile: str) -> Array:
         barycentric, weights = facet_quadrature()
-        if profile in (None, "uniform"):
+        if profile == "uniform":
             inside = np.all(self.nodes[self.triangles], axis=1)
             return np.repeat(inside[:, None].astype(float), len(weights), axis=1)
-        return on_facets(str(profile), self.region, self.mesh, (barycentric, weights))
+        return on_facets(profile, self.region, self.mesh, (barycentric, weights))
 
     def _error(self, text: str) -> SceneError:
         return SceneError(f"{self.constraint.kind} {self.constraint.name!r} {text}", self.place)

@@ -77,6 +77,7 @@ class Ring(Solid):
 LOAD = """
 from typing import Annotated, Literal
 from pydantic import Field
+from solver_common.quadrature import facet_quadrature
 from .kinds import SI
 from .loads import Acts, Constraint
 
@@ -90,7 +91,8 @@ class Hydrostatic(Constraint):
 
     def act(self, on):
         height = on.points[:, 2]
-        return Acts(pressure=self.gradient * on.at_quadrature(height[on.nodes].max() - height))
+        depth = (height[on.nodes].max() - height)[on.triangles] @ facet_quadrature()[0].T
+        return Acts(pressure=self.gradient * depth * on.pressure("uniform"))
 """
 ADDED = {
     "measures/metric_twice.py": METRIC,
