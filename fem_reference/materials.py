@@ -30,7 +30,7 @@ PARAMETERS: dict[str, tuple[str, ...]] = {
     "transversely-isotropic": (),
     "mooney-rivlin": ("second_share",),
     "yeoh": ("second_ratio", "third_ratio"),
-    "fung-demiray": ("exponent",),
+    "fung": ("exponent",),
     "ogden": ("exponents", "shares"),
 }
 MATERIALS = tuple(PARAMETERS)
@@ -181,7 +181,7 @@ def make_law(
     if material == "yeoh":
         c1, second, third = 0.5 * shear_modulus, values["second_ratio"].item(), values["third_ratio"].item()
         return Yeoh(c1, c1 * second, c1 * third)
-    if material == "fung-demiray":
+    if material == "fung":
         return FungDemiray(shear_modulus, values["exponent"].item())
     if material == "ogden":
         exponents = values["exponents"]

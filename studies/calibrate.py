@@ -27,7 +27,9 @@ from .measures.uncertainty import reference_bar
 from .scene.result import ModelResult
 from .scene.scene import Scene, build_scene
 from .study.errors import InputError
-from .study.registry import PARAMETERS, is_surface
+from .study.fields import unit_of
+from .study.registry import is_surface
+from .study.schema import VdmTable
 from .verdict.formatting import NOT_MEASURED, NOTHING, percent, quantity
 from .work.plan import Plan, PlannedCase
 
@@ -417,7 +419,9 @@ def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
     rows = []
     for entry in entries:
         fit = entry.fit
-        values = (f"{key} {quantity(value, PARAMETERS[key][1])}" for key, value in fit.parameters.items())
+        values = (
+            f"{key} {quantity(value, unit_of(VdmTable(), key))}" for key, value in fit.parameters.items()
+        )
         rows.append(
             {
                 "model": fit.model,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import dataclasses
 import re
 import subprocess
 import sys
@@ -16,13 +15,11 @@ import pytest
 import vdm.material
 import vdm.peers.mass_spring
 import vdm.solution
-from solver_common.solution import Solution
 from tests.command import vdmbench, write_study
 from tests.report.runs import icosphere
 from vdm.material import Parameters
 from vdm.surface import SurfaceMesh
 from vdmbench import models
-from vdmbench.scene.result import ModelResult
 from vdmbench.study.errors import LIBRARIES as SHARED_LIBRARIES
 
 ROOT = Path(__file__).parents[1]
@@ -288,15 +285,6 @@ def test_check_loads_no_results_and_a_mesher_once(tmp_path: Path) -> None:
 
 
 # --- what is written twice for a reason, held together ---
-
-
-def fields(cls: type) -> dict[str, object]:
-    return {field.name: field.type for field in dataclasses.fields(cls)}
-
-
-def test_the_stored_result_keeps_all_that_a_solution_has() -> None:
-    ours = fields(Solution).keys() - {"point_fields"}  # which a study asks no model for
-    assert ours <= fields(ModelResult).keys()
 
 
 def test_a_registered_model_declares_what_its_library_says() -> None:

@@ -20,7 +20,7 @@ MOST_UNBALANCED = 1e-3  # force that no support takes, over the largest force
 
 
 def prepare(scene, solver, name, n_loads):  # noqa: ARG001
-    """MuJoCo's model of the scene's body; see `vdmbench.models.model.Prepare`."""
+    """MuJoCo's model of the scene's body; see `vdmbench.models.Model`."""
     import mujoco  # takes a while, and who only plans solves nothing
 
     start = time.perf_counter()

@@ -23,7 +23,7 @@ FAILED = Status("no-balance", "NGSolve's Newton iteration finds no balance", "ta
 
 
 def prepare(scene, solver, name, n_loads):  # noqa: ARG001
-    """NGSolve's spaces and forms on the scene's mesh; see `vdmbench.models.model.Prepare`."""
+    """NGSolve's spaces and forms on the scene's mesh; see `vdmbench.models.Model`."""
     start = time.perf_counter()
     if scene.tissue.poisson_ratio == 0.0:
         raise ValueError(f"{name}: its pressure field needs a poisson_ratio above 0")

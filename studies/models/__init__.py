@@ -1,15 +1,9 @@
 """The models: who answers. A scene goes in, what a model answers to load steps comes out."""
 
 from ..scene.result import REFUSED
-from ..study.registry import (
-    Parameter,
-    all_models,
-    model_names,
-    reads,
-    superposes,
-)
+from ..study.registry import Model, Parameter, all_models, find, model_names, reads, superposes
 from .elements import PLAIN
-from .model import Model, Prepared, RegistrationError, SetUp, find, register, run_model
+from .model import Prepared, SetUp, register, run_model
 
 __all__ = [
     "PLAIN",
@@ -17,7 +11,6 @@ __all__ = [
     "Model",
     "Parameter",
     "Prepared",
-    "RegistrationError",
     "SetUp",
     "all_models",
     "find",

@@ -15,9 +15,9 @@ from solver_common.arrays import Array, Index
 
 from ..scene.inclusions import moduli
 from ..scene.scene import Scene, SurfaceLoad
-from ..study.registry import SCANNED, Family, Size, split
-from ..study.schema import LAW_KEYS, LAWS, NEO_HOOKEAN, parameters_of
-from .model import Model, SetUp, register
+from ..study.registry import SCANNED, Family, Model, Size, split
+from ..study.schema import LAW_KEYS, LAWS, NEO_HOOKEAN
+from .model import SetUp, register
 from .scanned import from_scan, rest_shape
 
 if TYPE_CHECKING:
@@ -176,8 +176,8 @@ def _material(scene: Scene) -> dict[str, Any]:
     """The law of large strain and its numbers."""
     if scene.anisotropy:
         return {"material": "transversely-isotropic"}
-    law = LAWS[scene.tissue.law or NEO_HOOKEAN]
-    return {"material": law.material, "material_parameters": parameters_of(scene.tissue)}
+    law = scene.tissue.law or NEO_HOOKEAN
+    return {"material": law, "material_parameters": {key: getattr(scene.tissue, key) for key in LAWS[law]}}
 
 
 def _body(scene: Scene) -> dict[str, Any]:

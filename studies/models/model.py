@@ -10,29 +10,26 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from solver_common.solution import Status
+from solver_common.solution import Solution, Status
 
 from ..body.surface_measures import enclosed_volumes
 from ..machine import peak_bytes_since, reset_peak
 from ..scene.result import REFUSED, ModelResult
 from ..scene.scene import Scene, SurfaceLoad
-from ..study import registry
-from ..study.registry import EXTRAS, MODELS, Declared, lacks, own_parameters, reads
+from ..study.errors import InputError
+from ..study.registry import EXTRAS, MODELS, Model, find, lacks, own_parameters, reads
 from ..study.schema import Tissue, VdmTable
 from ..study.units import DIMENSIONS
 
 if TYPE_CHECKING:
     from fem_reference.condensed import CondensedProblem
     from fem_reference.linear import LinearProblem
-    from fem_reference.solution import Solution as FemSolution
-    from vdm.solution import Solution as VdmSolution
     from vdm.solvers.linear import LinearSolver
 
-    Solution = FemSolution | VdmSolution
     PressureProblem = LinearSolver | LinearProblem | CondensedProblem
 
 
@@ -53,42 +50,18 @@ class SetUp:
     problem: PressureProblem | None = None
 
 
-class Prepare(Protocol):
-    """Sets a model up on the body of a scene, for about so many load steps. Raises ValueError with a sentence."""
-
-    def __call__(self, scene: Scene, solver: str, name: str, n_loads: int) -> SetUp: ...
-
-
-@dataclass(frozen=True, kw_only=True)
-class Model(Declared):
-    """A model of the registry.
-
-    Attributes
-    ----------
-    prepare : sets it up
-    continues : set up for loads of one rising path, each solved from the last: as `prepare`; None where it cannot
-    """
-
-    prepare: Prepare
-    continues: Prepare | None = None
-
-
-class RegistrationError(ValueError):
-    """A model that cannot be registered; the message says what is missing."""
-
-
 def register(model: Model) -> None:
     """Add a model.
 
     Raises
     ------
-    RegistrationError
+    InputError
         a name that is taken, or a declaration that does not fit together or names keys that no study has.
     """
     if model.name in MODELS:
-        raise RegistrationError(f"a model {model.name!r} is registered already")
+        raise InputError(f"a model {model.name!r} is registered already")
     if not model.version or not model.solvers:
-        raise RegistrationError(f"{model.name}: a model declares its version and its solvers")
+        raise InputError(f"{model.name}: a model declares its version and its solvers")
     for what, keys, known in (
         ("superposes", model.superposes, model.solvers),
         ("takes", model.takes, EXTRAS),
@@ -101,21 +74,13 @@ def register(model: Model) -> None:
         ("tissue", model.tissue, Tissue.model_fields),
     ):
         if unknown := [key for key in keys if key not in known]:
-            raise RegistrationError(
-                f"{model.name} declares {what} that there are none of: {', '.join(unknown)}"
-            )
+            raise InputError(f"{model.name} declares {what} that there are none of: {', '.join(unknown)}")
     for key, parameter in model.own.items():
         if key in VdmTable.model_fields or own_parameters().get(key, parameter) != parameter:
-            raise RegistrationError(f"{model.name}: {key} is declared already, as something else")
+            raise InputError(f"{model.name}: {key} is declared already, as something else")
         if parameter.unit not in DIMENSIONS:
-            raise RegistrationError(f"{model.name}: {key} has none of the units {', '.join(DIMENSIONS)}")
+            raise InputError(f"{model.name}: {key} has none of the units {', '.join(DIMENSIONS)}")
     MODELS[model.name] = model
-
-
-def find(name: str) -> tuple[Model, str]:
-    """The model and solver behind "name" or "name:solver". Raises KeyError where there is none."""
-    declared, solver = registry.find(name)
-    return cast(Model, declared), solver  # `register` takes nothing else
 
 
 class Prepared:
@@ -223,21 +188,19 @@ def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model, *, 
         usable |= np.nan_to_num(solution.scalars.get("load_factor", np.zeros(len(usable)))) > 0.0
     displacement = np.where(usable[:, None, None], solution.displacement, np.nan)
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
+    given: dict[str, Any] = {part.name: getattr(solution, part.name) for part in dataclasses.fields(Solution)}
+    believed = {
+        "displacement": displacement,
+        "fluid_pressure": np.where(usable, solution.fluid_pressure, np.nan),
+        "reaction_force": np.where(usable[:, None, None], solution.reaction_force, np.nan),
+        "energy": np.where(usable, solution.energy, np.nan),
+        "status": states,
+    }
     return ModelResult(
-        displacement=displacement,
-        fluid_pressure=np.where(usable, solution.fluid_pressure, np.nan),
-        reaction_force=np.where(usable[:, None, None], solution.reaction_force, np.nan),
-        energy=np.where(usable, solution.energy, np.nan),
+        **given | believed,
         volume=enclosed_volumes(points + displacement, triangles),
-        iterations=solution.iterations,
-        status=states,
-        seconds_setup=solution.seconds_setup,
-        seconds_per_step=solution.seconds_per_step,
         peak_bytes=peak_bytes,
         version=model.version,
-        parameters=solution.parameters,
-        scalars=solution.scalars,
-        part_of_node=solution.part_of_node,
     )
 
 

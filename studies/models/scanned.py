@@ -8,20 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from solver_common.arrays import Array
-from solver_common.solution import SolverError, solver_error
+from solver_common.solution import Solution, SolverError, solver_error
 
 from ..scene.result import REST_DISTANCE
-
-if TYPE_CHECKING:
-    from fem_reference.solution import Solution as FemSolution
-    from vdm.solution import Solution as VdmSolution
-
-    S = TypeVar("S", FemSolution, VdmSolution)
 
 TOLERANCE = 1e-4  # of the largest sag, of what the sagged body misses of the measured shape
 _MOST = 40  # steps
@@ -69,7 +62,7 @@ def _no_rest_shape(why: str) -> SolverError:
     )
 
 
-def from_scan(solution: S, sag: Array, seconds: float) -> S:
+def from_scan(solution: Solution, sag: Array, seconds: float) -> Solution:
     """A solution from the rest shape as one from the scanned shape, which is (N, 3) `sag` [m] off it.
 
     `seconds` [s] is what the set-up took with the search for the rest shape.

@@ -17,8 +17,8 @@ from vdm.solvers import FIGURE_8, SOLVERS
 from ..body.surface_measures import facet_area_vectors
 from ..scene.inclusions import interfaces
 from ..scene.scene import Scene, SurfaceLoad
-from ..study.registry import SCANNED, Family, split, takes_fluid
-from .model import Model as Registered
+from ..study.registry import SCANNED, Family, split
+from ..study.registry import Model as Registered
 from .model import SetUp, register
 from .scanned import from_scan, rest_shape
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
-    """The model `name` set up on the scene's body; see `vdmbench.models.model.Prepare`."""
+    """The model `name` set up on the scene's body; see `vdmbench.models.Model`."""
     if SCANNED in scene.extras:
         return _scanned(scene, name)
     springs = _springs(scene)
@@ -174,7 +174,9 @@ def _model(
         scene.anisotropy,
         scene.parameters,
     )
-    own_ratio = base in ("bem", "bem-sparse") and not takes_fluid(solver, given.get("compressibility"))
+    # left out it is a fluid's at large displacements alone
+    filling = given.get("compressibility", "fluid" if solver == "nonlinear" else "tissue")
+    own_ratio = base in ("bem", "bem-sparse") and filling == "tissue"
     chosen: dict[str, Any] = {
         name: value for name, value in given.items() if name not in _NOT_OF_THE_MATERIAL
     }

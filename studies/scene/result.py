@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from solver_common.arrays import Array
-from solver_common.solution import Status
+from solver_common.solution import Solution
 
 REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
 
@@ -37,28 +35,24 @@ class FrameTimes:
     case: str = ""
 
 
-@dataclass(frozen=True)
-class ModelResult:
-    """One model's load history of S steps on N surface nodes: a solution as its library gives it, and its memory.
+@dataclass(frozen=True, kw_only=True)
+class ModelResult(Solution):
+    """One model's solution of S load steps on N surface nodes, with what it took.
 
     A step that failed holds NaN in its arrays; its status says why.
+
+    Attributes
+    ----------
+    volume : (S,) exact volume of the deformed surface polyhedron [m^3]
+    peak_bytes : peak resident memory that the model added
+    version : declared version of the model
+    frames : measured anew when the run ended; None where they were not
     """
 
-    displacement: Array  # (S, N, 3) m
-    fluid_pressure: Array  # (S,) Pa
-    reaction_force: Array  # (S, N, 3) N
-    energy: Array  # (S,) J
-    volume: Array  # (S,) m^3, exact volume of the deformed surface polyhedron
-    iterations: NDArray[np.int64]  # (S,)
-    status: tuple[Status, ...]
-    seconds_setup: float
-    seconds_per_step: Array  # (S,) s
-    peak_bytes: int  # peak resident memory that the model added
-    version: str  # declared version of the model
-    parameters: Mapping[str, float | str] = field(default_factory=dict)
-    scalars: Mapping[str, Array] = field(default_factory=dict)  # (S,) each
-    part_of_node: NDArray[np.int64] | None = None  # (N,) see `Solution.part_of_node`
-    frames: FrameTimes | None = None  # measured anew when the run ended; None where they were not
+    volume: Array
+    peak_bytes: int
+    version: str
+    frames: FrameTimes | None = None
 
     @property
     def frame_time(self) -> float:

@@ -110,11 +110,11 @@ def _check_read(study: Study) -> Iterator[Finding]:
 def _check_law(study: Study) -> Iterator[Finding]:
     tissue = study.tissue
     law = tissue.law or NEO_HOOKEAN
-    present, needed = tissue.model_fields_set.intersection(LAW_KEYS), set(LAWS[law].keys)
+    present, needed = tissue.model_fields_set.intersection(LAW_KEYS), set(LAWS[law])
     for key in sorted(needed - present):
         yield ("tissue", key), f"is missing; the law {shown(law)} needs {listed(needed)}"
     for key in sorted(present - needed):
-        owners = {name for name, other in LAWS.items() if key in other.keys}
+        owners = {name for name, other in LAWS.items() if key in other}
         yield ("tissue", key), f"belongs to the law {listed(owners)}, not to {shown(law)}; leave it out"
     if law != NEO_HOOKEAN and study.anisotropy is not None:
         yield ("tissue", "law"), f"{shown(law)} has no fibres; leave out [anisotropy], or the law"

@@ -15,6 +15,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from pkgutil import iter_modules
 from types import ModuleType
+from typing import Any
 
 
 def load_all(package: str, prefix: str) -> list[ModuleType]:
@@ -31,25 +32,6 @@ DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2")  # which have no answer for an inco
 REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
 # solvers of another problem than the linear one
 _NOT_LINEAR = ("quasi-linear", "nonlinear", "incremental", "figure-8")
-
-# parameters that are numbers: what they are called, and their unit
-PARAMETERS = {
-    "bulk_modulus": ("B", "Pa"),
-    "connectivity_modulus": ("B_ij", "Pa"),
-    "shear_modulus": ("shear modulus", "Pa"),
-    "foundation": ("foundation k", "Pa/m"),
-    "surface_tension": ("tension T", "N/m"),
-    "stretch_stiffness": ("stretch stiffness E_s", "N/m"),
-    "coarse_nodes": ("nodes of the coarse body", "1"),
-    "parts": ("parts", "1"),
-    "penalty": ("penalty alpha", "1"),
-    "tolerance": ("tolerance", "1"),
-}
-
-
-def takes_fluid(solver: str, compressibility: object) -> bool:
-    """Whether boundary elements are filled with a fluid, not the tissue: left out, at large displacements alone."""
-    return (compressibility or ("fluid" if solver == "nonlinear" else "tissue")) == "fluid"
 
 
 def split(name: str) -> tuple[str, str]:
@@ -119,11 +101,14 @@ class Size:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Declared:
-    """What a model declares of itself; `vdmbench.models.Model` adds how it is set up.
+class Model:
+    """What a model declares of itself, and how it is set up.
 
     Attributes
     ----------
+    prepare : (scene, solver, name, n_loads) -> `vdmbench.models.SetUp`: makes it ready for the body of a scene, for
+        about so many load steps; raises ValueError with a sentence
+    continues : the same for loads of one rising path, each solved from the last; None where it cannot
     name : what a study writes, without the solver
     family : what it stands for
     version : raised whenever its numbers change; part of every key
@@ -141,6 +126,7 @@ class Declared:
     own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
     """
 
+    prepare: Callable[..., Any]
     name: str
     version: str
     volumetric: bool
@@ -156,9 +142,10 @@ class Declared:
     of_solvers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own: Mapping[str, Parameter] = field(default_factory=dict)
     family: Family = Family.ENGINES
+    continues: Callable[..., Any] | None = None
 
 
-MODELS: dict[str, Declared] = {}  # filled by `vdmbench.models.register` of the families, see `all_models`
+MODELS: dict[str, Model] = {}  # filled by `vdmbench.models.register` of the families, see `all_models`
 
 BROKEN: dict[str, str] = {}  # entry points that do not load -> why, in a sentence
 
@@ -185,7 +172,7 @@ def _load_families() -> None:
             BROKEN[entry.name] = f"the model package {entry.name!r} ({entry.value}) does not load: {told}"
 
 
-def all_models() -> dict[str, Declared]:
+def all_models() -> dict[str, Model]:
     """Every model by its name, those of other packages too."""
     _load_families()
     return MODELS
@@ -200,14 +187,14 @@ def model_names() -> list[str]:
     ]
 
 
-def _known(name: str) -> tuple[Declared | None, str]:
+def _known(name: str) -> tuple[Model | None, str]:
     """The model behind a name, or that of a refined level, None where it is not registered here; and its solver."""
     base, _, solver = name.partition(REFINED)[0].partition(":")
     model = all_models().get(base)
     return model, solver or (model.solvers[0] if model is not None else "")
 
 
-def find(name: str) -> tuple[Declared, str]:
+def find(name: str) -> tuple[Model, str]:
     """The model and solver behind "name" or "name:solver".
 
     Raises

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, Literal
 
@@ -95,27 +94,15 @@ class Tissue(Table):
 NEO_HOOKEAN = "neo-hookean"
 
 
-@dataclass(frozen=True)
-class Law:
-    """A law: its name in `fem_reference.materials`, and the keys that it needs."""
-
-    material: str
-    keys: tuple[str, ...] = ()
-
-
-LAWS: Mapping[str, Law] = {
-    NEO_HOOKEAN: Law(NEO_HOOKEAN),
-    "mooney-rivlin": Law("mooney-rivlin", ("second_share",)),
-    "yeoh": Law("yeoh", ("second_ratio", "third_ratio")),
-    "fung": Law("fung-demiray", ("exponent",)),
-    "ogden": Law("ogden", ("exponents", "shares")),
+# law, of `fem_reference.materials` -> the keys that it needs
+LAWS: Mapping[str, tuple[str, ...]] = {
+    NEO_HOOKEAN: (),
+    "mooney-rivlin": ("second_share",),
+    "yeoh": ("second_ratio", "third_ratio"),
+    "fung": ("exponent",),
+    "ogden": ("exponents", "shares"),
 }
-LAW_KEYS = tuple(dict.fromkeys(key for law in LAWS.values() for key in law.keys))
-
-
-def parameters_of(tissue: Tissue) -> dict[str, float | tuple[float, ...]]:
-    """The numbers of a tissue's law by key; none of the neo-Hookean one."""
-    return {key: getattr(tissue, key) for key in LAWS[tissue.law or NEO_HOOKEAN].keys}
+LAW_KEYS = tuple(key for keys in LAWS.values() for key in keys)
 
 
 Vdm = dict[str, float | str]
