@@ -142,6 +142,9 @@ def test_layer_formula(verified: Verified) -> None:
             np.polynomial.Polynomial([1.0, 1.133, 1.283, 0.769, 0.0975])(chi),
             rtol=tolerance,
         )
+    # no pressure at the edge: the depth under which a contact is so wide, to first order by the same integral
+    depth, _ = BondedLayer(100.0, 1.0, 1e-3, 0.75).depth_and_force
+    assert_allclose(1.0 - 100.0 * depth / 1e-6, 2.0 / 3.0 * 1.133e-3, rtol=0.01, atol=0)  # his 1.133 is 1.127
     half_space = BondedLayer(100.0, 1e4, 1.0, 0.75).depth_and_force
     assert_allclose(half_space, (0.01, Hertz(100.0, 0.01, 1.0).force), rtol=2e-4)
 
