@@ -82,20 +82,8 @@ def test_orientation_is_mended_whatever_the_facets_were() -> None:
 
 def projective_plane() -> Index:
     """The six-vertex projective plane: closed, every edge with two facets, and one-sided."""
-    return np.array(
-        [
-            [0, 1, 2],
-            [0, 2, 3],
-            [0, 3, 4],
-            [0, 4, 5],
-            [0, 5, 1],
-            [1, 2, 4],
-            [2, 3, 5],
-            [3, 4, 1],
-            [4, 5, 2],
-            [5, 1, 3],
-        ]
-    )
+    facets = "012 023 034 045 051 124 235 341 452 513"
+    return np.array([[int(node) for node in facet] for facet in facets.split()])
 
 
 def two_cubes_on_an_edge() -> tuple[Array, Index]:
@@ -156,16 +144,17 @@ def test_tetrahedra_that_cannot_be_used(change: dict[str, Any], words: str) -> N
         mesh_from_tetrahedra(change.get("points", points), change.get("tetrahedra", tetrahedra))
 
 
-def test_a_face_of_three_tetrahedra_is_refused() -> None:
-    points = np.concatenate([CORNER, [[0, 0, 2.0], [0.1, 0.1, 3.0]]])
-    with pytest.raises(MeshError, match="1 faces belong to more than two"):
-        mesh_from_tetrahedra(points, np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 2, 5]]))
-
-
-def test_tetrahedra_in_each_other_are_refused() -> None:
-    points = np.concatenate([CORNER, [[0.1, 0.1, 0.5]]])
-    with pytest.raises(MeshError, match="overlap"):
-        mesh_from_tetrahedra(points, np.array([[0, 1, 2, 3], [0, 1, 2, 4]]))
+@pytest.mark.parametrize(
+    ("tips", "words"),
+    [
+        ([[0.1, 0.1, 0.5]], "overlap"),
+        ([[0, 0, 2.0], [0.1, 0.1, 3.0]], "1 faces belong to more than two"),
+    ],
+)
+def test_tetrahedra_on_one_face_are_refused(tips: list[list[float]], words: str) -> None:
+    tetrahedra = np.array([[0, 1, 2, tip] for tip in range(3, 4 + len(tips))])
+    with pytest.raises(MeshError, match=words):
+        mesh_from_tetrahedra(np.concatenate([CORNER, tips]), tetrahedra)
 
 
 # --- repair -------------------------------------------------------------------------------------------

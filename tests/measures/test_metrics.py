@@ -181,34 +181,23 @@ def test_indentation_is_the_work_of_the_contact_over_its_force(surface: Surface,
     assert np.isnan(metrics.mean_indentation(surface, field[None])).all()
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_indentation_force_of_a_model_twice_as_soft(surface: Surface, sign: float) -> None:
-    """Of a push and of a pull."""
-    push = np.zeros((6, 3))
-    push[4, 2] = -0.01 * sign
-    loaded = dataclasses.replace(surface, contact_force=20.0 * push)
-    steps = [0.25 * push, 0.5 * push, push]
-    reference = history(*steps, factors=[0.25, 0.5, 1.0])
-    soft = history(*[2 * step for step in steps], factors=[0.25, 0.5, 1.0])
-    stiff = history(*[0.5 * step for step in steps], factors=[0.25, 0.5, 1.0])
-    assert_allclose(evaluate(loaded, soft, reference)["indentation_force_error"], -0.5, **ROUND)
-    # beyond the last step the curve goes on straight
-    assert_allclose(evaluate(loaded, stiff, reference)["indentation_force_error"], 1.0, **ROUND)
-
-
 @pytest.mark.parametrize(
-    "factors", [[0.5, 0.0, 1.0], [0.3, 0.6, 1.0, 0.6, 0.1 + 0.2], [0.5, -0.5, 1.0], [-1.0]]
+    "factors",
+    [[0.25, 0.5, 1.0], [0.5, 0.0, 1.0], [0.3, 0.6, 1.0, 0.6, 0.1 + 0.2], [0.5, -0.5, 1.0], [-1.0]],
 )
-def test_indentation_force_over_a_history_that_returns(surface: Surface, factors: list[float]) -> None:
-    """A pause, a way back and a pull change nothing of what a model needs at a load, by hand: half."""
+def test_indentation_force_of_a_model_twice_as_soft_and_of_one_twice_as_stiff(
+    surface: Surface, factors: list[float]
+) -> None:
+    """By hand, also over a pause, a way back and a pull; beyond the last step the curve goes on straight."""
     push = np.zeros((6, 3))
     push[4, 2] = -0.01
     loaded = dataclasses.replace(surface, contact_force=20.0 * push)
-    reference, soft = (
-        history(*[size * factor * push for factor in factors], factors=factors) for size in (1.0, 2.0)
+    reference, soft, stiff = (
+        history(*[size * factor * push for factor in factors], factors=factors) for size in (1.0, 2.0, 0.5)
     )
-    expected = [-0.5 if factor else np.nan for factor in factors]
-    assert_allclose(evaluate(loaded, soft, reference)["indentation_force_error"], expected, **ROUND)
+    for model, error in ((soft, -0.5), (stiff, 1.0)):
+        expected = [error if factor else np.nan for factor in factors]
+        assert_allclose(evaluate(loaded, model, reference)["indentation_force_error"], expected, **ROUND)
 
 
 @pytest.mark.parametrize("factors", [[0.5, 1.0], [0.5, 0.0, 1.0], [-1.0, 0.0, 2.0]])

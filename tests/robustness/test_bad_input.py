@@ -26,7 +26,6 @@ from vdmbench.work import run, worker
 from .processes import RUN, planned_hash
 
 pytestmark = pytest.mark.usefixtures("read_here")
-HELD_ONLY = ('kind = "fixed"\nregion = "base"\n[[constraints]]\n', "")
 
 
 def _case(directory: Path) -> Path:
@@ -73,11 +72,6 @@ def test_what_is_wrong_with_results_is_told(spoilt: Path, wrong: str) -> None:
     spoil, command, code, words = DAMAGE[wrong]
     spoil(spoilt)
     assert words in said(*command.split(), code=code, cwd=spoilt)
-
-
-def test_a_body_that_nothing_holds_is_told(tmp_path: Path) -> None:
-    write_study(tmp_path, free=HELD_ONLY)
-    assert "nothing is held" in said("check", "small.toml", code=2, cwd=tmp_path)
 
 
 # --- the machine ---
