@@ -12,6 +12,7 @@ from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..study.measured import Measured, MeasuredPoint
 from ..study.schema import Study
+from .regions import body_extent
 from .scene import SceneError
 
 # of the mean edge: how far from the surface a point may be measured; flat facets leave a round body by less
@@ -68,12 +69,9 @@ def _placed(table: Measured, number: int, mesh: Mesh) -> Placed:
     edge = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
     worst = int(distance.argmax())
     if distance[worst] > MOST_OFF * edge:
-        low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
-        extent = " to ".join("(" + ", ".join(f"{v:.4g}" for v in corner) + ")" for corner in (low, high))
         raise SceneError(
             f"{_named(table.points[worst], worst)} of {table.name!r} is {distance[worst]:.3g} m off the body, more "
-            f"than {MOST_OFF:g} of the mesh's edges ({edge:.3g} m): another origin, or a mixed-up unit? "
-            f"The body is {extent} m",
+            f"than {MOST_OFF:g} of the mesh's edges ({edge:.3g} m): another origin? {body_extent(mesh)}",
             place,
         )
     return Placed(facet, weights, distance)

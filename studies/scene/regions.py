@@ -54,19 +54,9 @@ def in_group(name: str, groups: Mapping[str, Mask]) -> Mask:
     return groups[name]
 
 
-def lies_outside(region: Region, low: Array, high: Array) -> bool:
-    """Whether a half-space, box or ball of a region does not meet the body's bounding box, (3,) and (3,)."""
-    below, above, box, ball = region.below, region.above, region.box, region.ball
-    return bool(
-        (below and below.value is not None and below.value < low[AXES[below.axis]])
-        or (above and above.value is not None and above.value > high[AXES[above.axis]])
-        or (box and (np.any(np.array(box.min) > high) or np.any(np.array(box.max) < low)))
-        or (ball and _from_ball(ball, np.clip(ball.center, low, high)) > 1.0)
-    )
-
-
-def body_extent(low: Array, high: Array) -> str:
-    """What to tell beside a region that lies outside."""
+def body_extent(mesh: Mesh) -> str:
+    """What to tell beside a place that is not on a body."""
+    low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
     extent = ", ".join(f"{a} from {p:.3g} to {q:.3g}" for a, p, q in zip("xyz", low, high, strict=True))
     return f"the body has {extent} m; a mixed-up unit? A bare number is in metres"
 
@@ -85,20 +75,14 @@ def _margin(mesh: Mesh) -> float:
 
 
 def profile_coordinate(region: Region, mesh: Mesh, points: Array) -> Array:
-    """Distance (...,) of points (..., 3) from the middle of a cap or ball, 1 at its rim.
+    """Distance (...,) of points (..., 3) from the middle of a region that is a cap or a ball, 1 at its rim.
 
     In a cap: the angle seen from the body's centroid over the cap's; in a ball: the distance over its radius.
-
-    Raises
-    ------
-    MeshError
-        another kind of region, which has no middle.
     """
     if region.ball is not None:
         return _from_ball(region.ball, points)
-    if region.cap is not None:
-        return _from_cap(region.cap, mesh, points)
-    raise MeshError("only a cap or a ball has a middle; give the contact such a region")
+    assert region.cap is not None  # a study refuses other regions of a profile
+    return _from_cap(region.cap, mesh, points)
 
 
 def _from_ball(ball: Ball, points: Array) -> Array:
@@ -119,8 +103,7 @@ def profile_slope(region: Region, mesh: Mesh, points: Array) -> Array:
     """Largest change (...,) of `profile_coordinate` per length at points (..., 3) [1/m]."""
     if region.ball is not None:
         return np.full(points.shape[:-1], 1.0 / region.ball.radius)
-    if region.cap is None:
-        raise MeshError("only a cap or a ball has a middle; give the contact such a region")
+    assert region.cap is not None
     distance = _length(points - _centroid(mesh))
     return np.asarray(1.0 / (region.cap.angle * np.maximum(distance, _margin(mesh))))
 

@@ -13,14 +13,12 @@ from solver_common.quadrature import facet_quadrature
 
 from ..body.mesh import Mesh, read_only
 from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
-from ..study.errors import Loc
 from ..study.loads import Acts, Springs
-from ..study.registry import EXTRAS
 from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
 from .placed import PlacedConstraint, PlacedIndenter, place_indenter
 from .placed import SceneError as SceneError
-from .regions import body_extent, lies_outside, select
+from .regions import body_extent, select
 
 
 @dataclass(frozen=True)
@@ -209,9 +207,11 @@ def build_scene(
     acting = []
     for number, constraint in enumerate(study.constraints):
         place, name = ("constraints", number), constraint.region
-        _require_nodes(name, study, mesh, masks, ("regions", name))
+        if not masks[name].any():
+            told = f"region {name!r} selects no node of the mesh; enlarge it or take a smaller mesh_size"
+            raise SceneError(f"{told}; {body_extent(mesh)}", ("regions", name))
         on = PlacedConstraint(constraint, place, regions[name], mesh, masks[name])
-        acting.append((on, _acts(on)))
+        acting.append((on, constraint.act(on)))
     fixed, constrained, prescribed = _held(acting, len(mesh.surface_nodes))
     _check_apart(study, masks, fixed, constrained, mesh.triangles)
     pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
@@ -233,21 +233,11 @@ def build_scene(
         condition=study.study.condition,
         dead=tuple((acts.dead[0], np.array(acts.dead[1])) for _, acts in acting if acts.dead is not None),
         springs=tuple(acts.springs for _, acts in acting if acts.springs is not None),
-        extras=extras_of(study),
+        extras=extras_of(study).union(*(acts.extras for _, acts in acting)),
         inclusions=place_inclusions(study, mesh, inside),
         homogeneous=frozenset(study.study.homogeneous),
         indenter=pushed[0] if pushed else None,  # a study has one at most
     )
-
-
-def _acts(on: PlacedConstraint) -> Acts:
-    """What a constraint does. Raises SceneError for one that does what its models are not asked for."""
-    acts = on.constraint.act(on)
-    if acts.needs_an_extra and on.constraint.extra not in EXTRAS:
-        raise SceneError(
-            f"the kind {on.constraint.kind!r} has to declare as `extra` what its models take", on.place
-        )
-    return acts
 
 
 def _held(acting: list[tuple[PlacedConstraint, Acts]], n_nodes: int) -> tuple[Mask, Mask, Array]:
@@ -267,16 +257,6 @@ def _held(acting: list[tuple[PlacedConstraint, Acts]], n_nodes: int) -> tuple[Ma
         constrained |= on.nodes
         prescribed[on.nodes] = moved[on.nodes]
     return fixed, constrained, prescribed
-
-
-def _require_nodes(name: str, study: Study, mesh: Mesh, masks: Mapping[str, Mask], place: Loc) -> None:
-    if masks[name].any():
-        return
-    told = f"region {name!r} selects no node of the mesh"
-    low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
-    if not lies_outside(study.regions[name], low, high):
-        raise SceneError(f"{told}; enlarge it or take a smaller mesh_size", place)
-    raise SceneError(f"{told}: {body_extent(low, high)}", place)
 
 
 def _check_apart(

@@ -9,8 +9,9 @@ import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
 
-from ..body.surface_measures import facet_area_vectors
-from ..study.errors import Finding
+from ..body.surface_measures import facet_area_vectors, pieces
+from ..body.topology import half_edges
+from ..study.errors import Finding, plural
 from ..study.loads import Constraint
 from ..study.schema import Tissue
 
@@ -55,21 +56,21 @@ def scene_warnings(
             if mask.any() and not (on_support & mask[triangles].any(axis=1)).any():
                 yield (
                     loc,
-                    f"holds {_number(int(mask.sum()), 'lone ')} and no facet: on finer meshes what moves there "
+                    f"holds {plural(int(mask.sum()), 'lone node')} and no facet: on finer meshes what moves there "
                     "grows without limit; hold an area, by a larger region or a smaller mesh_size",
                 )
             elif count := int((mask & apart).sum()):
                 yield (
                     loc,
-                    f"holds {_number(count, 'lone ')} apart from its facets: what they carry falls with the mesh "
-                    "size, and with it the answer may change by any amount; take them out of the region, or hold "
-                    "an area there by a smaller mesh_size",
+                    f"holds {plural(count, 'lone node')} apart from its facets: what they carry falls with the "
+                    "mesh size, and with it the answer may change by any amount; take them out of the region, or "
+                    "hold an area there by a smaller mesh_size",
                 )
             continue
         if part.kind != "contact":
             continue
         if mask.sum() <= FEW_NODES:
-            few = _number(int(mask.sum()))
+            few = plural(int(mask.sum()), "node")
             yield loc, f"touches {few}: the answer there hangs on the mesh; take a smaller mesh_size"
         pressed = vectors[mask[triangles].all(axis=1)]
         areas, resultant = np.linalg.norm(pressed, axis=1), pressed.sum(axis=0)
@@ -121,15 +122,7 @@ def indentation(force: float, area: float, youngs_modulus: float, poisson_ratio:
 
 def _apart(support: Mask, triangles: Index) -> Mask:
     """(N,) held nodes that no edges between held nodes join to a held facet."""
-    ends = triangles[:, [0, 1, 2, 1, 2, 0]].reshape(-1, 2, 3).transpose(0, 2, 1).reshape(-1, 2)
-    ends = ends[support[ends].all(axis=1)]
-    joined = np.zeros(len(support), dtype=bool)
-    joined[triangles[support[triangles].all(axis=1)]] = True
-    # from neighbour to neighbour; scipy would cost each report its start
-    while len(further := ends[joined[ends[:, 0]] != joined[ends[:, 1]]]):
-        joined[further] = True
-    return np.asarray(support & ~joined)
-
-
-def _number(count: int, kind: str = "") -> str:
-    return f"one {kind}node" if count == 1 else f"{count} {kind}nodes"
+    edges = half_edges(triangles)
+    piece = pieces(len(support), *edges[support[edges].all(axis=1)].T)
+    held = triangles[support[triangles].all(axis=1)]
+    return np.asarray(support & ~np.isin(piece, piece[held]))

@@ -258,10 +258,6 @@ def _check_measured(study: Study) -> Iterator[Finding]:
     yield from named_twice("measured", study.measured or (), "table")
     for place, table in enumerate(study.measured or ()):
         loc = ("measured", place)
-        kinds = [name for name in ("points", "surface", "forces") if getattr(table, name)]
-        if len(kinds) != 1:
-            given = f", not {listed({*kinds})}" if kinds else ""
-            yield loc, f"give one of path, points, surface, forces{given}"
         own: Sequence[Any] = table.points or [table] * bool(table.surface)
         yield from _check_uncertainty("uncertainty", table.uncertainty, own, loc)
         if table.forces:

@@ -1,12 +1,12 @@
 """What holds, moves and loads a body: [[constraints]] as typed tables, one a kind.
 
-One more is a class, here or in a file `load_NAME.py`. Its checks, its unit loads (which decide what answers are
-shared) and what it does on a mesh follow from that.
+One more is a class, here or in a file `load_NAME.py`. Its checks, what answers are shared, and what it does on a
+mesh follow from that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -124,9 +124,11 @@ class Acts:
     pushed: tuple[Any, Indenter] | None = None
 
     @property
-    def needs_an_extra(self) -> bool:
-        """Whether it does what not every model takes: a model that does not would ignore it."""
-        return not (self.dead is None and self.springs is None and self.pushed is None)
+    def extras(self) -> set[str]:
+        """Of `vdmbench.study.registry.EXTRAS` those that it is: a model that does not take one would ignore it."""
+        found = {"dead forces": self.dead, "indenter": self.pushed}
+        springs = {f"{self.springs.direction} springs"} if self.springs is not None else set()
+        return {name for name, part in found.items() if part is not None} | springs
 
 
 # --- The tables ---
@@ -167,20 +169,6 @@ class Constraint(OneOf):
     def faults(self, region: frozenset[str]) -> Iterator[tuple[Loc, str]]:  # noqa: ARG002
         """(place inside, what is wrong there); `region` has the keys of its region."""
         yield from ()
-
-    @classmethod
-    def unit_loads(cls, entry: Mapping[str, Any], described: str) -> Iterator[tuple[str, float]]:
-        """Load of size 1 -> how much of it a constraint has, component by component.
-
-        Parameters
-        ----------
-        described : the rest of the constraint, its region spelt out
-        """
-        for name in cls.loads:
-            value = entry.get(name)
-            parts = value if isinstance(value, tuple | list) else [value]
-            for axis, part in enumerate(parts if value is not None else ()):
-                yield f"{entry['kind']} {name} {axis} {described}", float(part)
 
 
 # --- the kinds ---

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, ValidationInfo, model_validator
 
+from .errors import listed
 from .kinds import (
     MAX_NAME,
     SI,
@@ -281,10 +282,14 @@ class Measured(Table):
     @classmethod
     def _of_file(cls, data: Any, info: ValidationInfo) -> Any:
         """The file's values in the place of its path, so that a case carries all that decides its numbers."""
-        if not isinstance(data, dict) or data.get("path") is None:
+        if not isinstance(data, dict):
             return data
-        if data.keys() & {"points", "surface", "forces"}:
-            raise ValueError("give path, points, surface or forces; one of them")
+        given = [key for key in ("path", "points", "surface", "forces") if data.get(key)]
+        if len(given) != 1:
+            told = f", not {listed({*given})}" if given else ""
+            raise ValueError(f"give one of path, points, surface, forces{told}")
+        if given != ["path"]:
+            return data
         path = as_path(data["path"], info)
         name = {"name": path.stem[:MAX_NAME]} if is_safe_name(path.stem[:MAX_NAME]) else {}
         rest = {key: value for key, value in data.items() if key != "path"}

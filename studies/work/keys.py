@@ -174,24 +174,18 @@ def _touched(inputs: Mapping[str, Any]) -> list[tuple[str, float]]:
 
 
 def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
-    """Load of size 1 -> how much of it acts at load factor 1, the weight apart.
-
-    Raises
-    ------
-    ValueError
-        a kind that is not registered, whose loads nobody lists.
-    """
+    """Load of size 1 -> how much of it acts at load factor 1, component by component, the weight apart."""
     out: dict[str, float] = {}
     for constraint in inputs["constraints"]:
-        kind = KINDS.get(constraint["kind"])
-        if kind is None:
-            raise ValueError(f"a constraint of kind {constraint['kind']!r} has no unit loads: register it")
-        apart = {"kind", "name", "region", *kind.loads}
+        loads = KINDS[constraint["kind"]].loads
+        apart = {"kind", "name", "region", *loads}
         about = {key: value for key, value in constraint.items() if key not in apart}
-        region = inputs["regions"][constraint["region"]]
-        described = json.dumps([about, region], sort_keys=True)
-        for unit, value in kind.unit_loads(constraint, described):
-            out[unit] = out.get(unit, 0.0) + value
+        described = json.dumps([about, inputs["regions"][constraint["region"]]], sort_keys=True)
+        for name in loads:
+            value = constraint.get(name, ())
+            for axis, part in enumerate(value if isinstance(value, tuple | list) else [value]):
+                unit = f"{constraint['kind']} {name} {axis} {described}"
+                out[unit] = out.get(unit, 0.0) + float(part)
     return out
 
 

@@ -23,12 +23,12 @@ CASES: dict[str, tuple[list[tuple[str, str]], int, str]] = {
     "a region off the body": (
         [(FINGER, 'ball = { center = [0, 0, 1], radius = "20 mm" }')],
         2,
-        "small.toml:19: regions.finger: region 'finger' selects no node of the mesh: the body has x from",
+        "small.toml:19: regions.finger: region 'finger' selects no node of the mesh; enlarge it",
     ),
     "a support that the body does not reach": (
         [(BASE, 'below = { axis = "z", value = "-60 mm" }')],
         2,
-        "small.toml:17: regions.base: region 'base' selects no node of the mesh: the body has",
+        "small.toml:17: regions.base: region 'base' selects no node of the mesh; enlarge it",
     ),
     "a contact on the support": (
         [(BASE, 'below = { axis = "z", fraction = 0.99 }')],

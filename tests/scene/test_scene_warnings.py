@@ -53,7 +53,7 @@ def found(kind: str, mask: np.ndarray, **keys: Any) -> list[str]:
 @pytest.mark.parametrize("kind", ["fixed", "constrained"])
 def test_a_support_of_lone_nodes_has_no_limit(kind: str) -> None:
     middle = np.argmin(NEAR)
-    assert "holds one lone node and no facet" in found(kind, np.arange(len(POINTS)) == middle)[0]
+    assert "holds 1 lone node and no facet" in found(kind, np.arange(len(POINTS)) == middle)[0]
     line = TOP & (np.abs(POINTS[:, 0]) < 1e-9)
     assert "holds 21 lone nodes and no facet" in found(kind, line)[0]
     assert not found(kind, TOP & (NEAR < 0.02))
@@ -65,7 +65,7 @@ def test_lone_nodes_besides_an_area_are_told_and_those_at_its_rim_are_not(kind: 
     assert not found(kind, area)
     corner = np.argmax(POINTS[:, 0] + POINTS[:, 1])
     far = area | (np.arange(len(POINTS)) == corner)
-    assert "holds one lone node apart from its facets" in found(kind, far)[0]
+    assert "holds 1 lone node apart from its facets" in found(kind, far)[0]
     # a node that hangs on the area by an edge, and no facet
     x, y = POINTS[:, 0], POINTS[:, 1]
     rim = x[area].max()
@@ -78,7 +78,7 @@ def test_lone_nodes_besides_an_area_are_told_and_those_at_its_rim_are_not(kind: 
 
 def test_a_ball_through_a_thin_body_presses_both_its_faces() -> None:
     assert not found("contact", TOP & (NEAR < 0.03), force=0.01)
-    assert "touches one node" in found("contact", np.arange(len(POINTS)) == np.argmin(NEAR), pressure=1.0)[0]
+    assert "touches 1 node" in found("contact", np.arange(len(POINTS)) == np.argmin(NEAR), pressure=1.0)[0]
     upper, lower = TOP & (NEAR < 0.03), ~TOP & (NEAR < 0.02)
     [told] = found("contact", upper | lower, force=0.01)
     above, below = (mask[TRIANGLES].all(axis=1).sum() for mask in (upper, lower))
@@ -119,4 +119,4 @@ def test_the_verdict_tells_them_too() -> None:
     lone = {**case.regions, "base": np.arange(len(case.points)) == 0}
     (doubt,) = verdicts(Digest(make_run([dataclasses.replace(case, regions=lone)]))).doubts
     assert doubt.about == "base"
-    assert doubt.text.startswith("holds one lone node and no facet")
+    assert doubt.text.startswith("holds 1 lone node and no facet")

@@ -271,8 +271,9 @@ def test_every_model_balances_a_dead_force_or_refuses_it_by_name(
     assert tip @ PULL > 0
 
 
-def test_a_kind_that_acts_by_a_dead_force_declares_it(box: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_acts_is_asked_of_a_model_whatever_a_kind_declares(
+    box: Mesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A model that takes none would ignore it."""
     monkeypatch.setattr(KINDS["line"], "extra", "")
-    with pytest.raises(SceneError, match="'line' has to declare as `extra`"):
-        build_scene(study(**LINE), box)
+    assert build_scene(study(**LINE), box).extras == {"dead forces"}

@@ -115,16 +115,6 @@ def test_small_loads_beside_large_ones_keep_their_digits() -> None:
     assert one != other
 
 
-def test_an_unknown_kind_of_constraint_has_no_loads_to_be_told_by(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two studies that differ in its size alone would share an answer, also the one that the disk cache keeps."""
-    inputs = keys.case_inputs(study())
-    drag = {"kind": "drag", "region": "finger", "traction": 2.0}
-    monkeypatch.setattr(keys, "case_inputs", lambda _: {**inputs, "constraints": [drag]})
-    for ask in (load_steps, lambda s: wanted(s, "mesh")):
-        with pytest.raises(ValueError, match="kind 'drag' has no unit loads"):
-            ask(study())
-
-
 def test_a_contact_is_told_by_every_key_that_it_has() -> None:
     def units(**more: float) -> list[dict[str, float]]:
         press = {"kind": "contact", "region": "tip", "profile": "uniform", "force": 2.0, **more}
