@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..machine import json_text
-from ..study.errors import plural
 
 if TYPE_CHECKING:
     import argparse
@@ -46,9 +45,6 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
         print(
             f"{found['done']} done, {len(run.failed) - run.damaged} failed{lost}, {len(run.missing)} missing"
         )
-        if spent := run.plan.get("taken"):
-            used = f"{plural(spent['jobs'], 'job')}: {spent['processor_seconds']:.0f} s of processor"
-            print(folded(f"took {spent['seconds']:.0f} s with {used}"))
         print(f"report: {report}")
     if run.failed and not found["done"] and all(failure["code"] == "input" for failure in run.failed):
         return USAGE  # nothing could be done with what the user gave

@@ -43,9 +43,11 @@ def baseline_of(options: argparse.Namespace, study: str) -> Path:
 
 def plan_of(options: argparse.Namespace) -> Plan:
     """The plan of the study that a command line names; where results are to be kept, in a directory of its own."""
+    from ..work.explain import require_own
+
     plan = make_plan(load(options), options)
     if "out" in options:
-        require_own(plan, options)
+        require_own(plan)
     return plan
 
 
@@ -62,29 +64,6 @@ def make_plan(
     command = command or command_of("run", options)
     fresh = given.get("fresh", False)
     return graph_plan.make_plan(study, expand(study), directory, cache, command, fresh=fresh)
-
-
-def require_own(plan: Plan, options: argparse.Namespace) -> None:
-    """Raises InputError where the directory holds no run, or that of another surface file of the same name."""
-    from ..store.plain import StoreError
-    from ..store.run_directory import read_plan, refuse_foreign
-    from ..work.explain import surfaces
-
-    refuse_foreign(plan.directory)
-    if options.surface is None or options.out is not None:
-        return
-    try:
-        there = read_plan(plan.directory)
-    except StoreError:
-        return
-    if (
-        "--surface" in there.get("command", [])
-        and not surfaces(plan).keys() & there.get("surfaces", {}).keys()
-    ):
-        raise InputError(
-            f"{plan.directory} has the results of another surface of that name; give those of {options.surface} "
-            "a directory of their own by --out"
-        )
 
 
 def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:

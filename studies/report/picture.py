@@ -17,6 +17,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.transforms import IdentityTransform
+from PIL import Image
 
 from solver_common.arrays import Array
 
@@ -63,17 +64,7 @@ def drawn(
     renderer.draw_gouraud_triangles(
         renderer.new_gc(), FINER * scale * (corners[front, :, :2] - low), shaded, IdentityTransform()
     )
-    return averaged(np.asarray(renderer.buffer_rgba()))
-
-
-def averaged(drawn: np.ndarray) -> np.ndarray:
-    """Blocks of pixels as one, their colours weighed by their alpha: what is transparent has no colour to give."""
-    height, width, _ = drawn.shape
-    blocks = drawn.reshape(height // FINER, FINER, width // FINER, FINER, 4).astype(np.float32)
-    alpha = blocks[..., 3:]
-    colours = (blocks[..., :3] * alpha).sum(axis=(1, 3)) / np.maximum(alpha.sum(axis=(1, 3)), 1.0)
-    pixels = np.concatenate([colours, alpha.mean(axis=(1, 3))], axis=2)
-    return np.floor(pixels + 0.5).astype(np.uint8)
+    return np.asarray(Image.fromarray(np.asarray(renderer.buffer_rgba())).reduce(FINER))
 
 
 COLOUR_MAPS = ("viridis", "inferno")  # of displacements, of differences

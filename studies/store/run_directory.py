@@ -47,20 +47,12 @@ class _Study:
 
 
 @dataclass
-class _Taken:
-    seconds: float
-    processor_seconds: float
-    jobs: int
-
-
-@dataclass
 class _Plan:
     study: _Study
     cases: Sequence[_Case]
     surfaces: Mapping[str, str] = field(default_factory=dict)
     command: Sequence[str] = ()
     directory: str = ""
-    taken: _Taken | None = None
 
 
 @dataclass

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from .. import models
 from ..machine import machine_memory
 from ..study.checks import refusals
-from ..study.errors import Finding, MeshError
+from ..study.errors import Finding, InputError, MeshError
 from ..study.files import told_directory, without_folders
 from ..study.registry import REFINED, Size
+from ..study.units import shown
 from .plan import Plan, PlannedCase, PlannedMesh
 from .tasks import Task, tasks_of
 
@@ -61,17 +61,35 @@ def surfaces(plan: Plan) -> dict[str, str]:
     return {mesh.file_hash: mesh.geometry.path.name for mesh in plan.meshes.values() if mesh.file_hash}
 
 
+def require_own(plan: Plan) -> None:
+    """Raises InputError where the directory holds what a run would replace.
+
+    That is something else than a run, another study, or another file of the same name, which --surface named.
+    """
+    from ..store.plain import StoreError  # with arrays, slow to load, and who checks a study asks for none
+    from ..store.run_directory import read_plan, refuse_foreign
+
+    refuse_foreign(plan.directory)
+    try:
+        there = read_plan(plan.directory)
+    except StoreError:  # nothing there, or nothing that can be read
+        return
+    ours, theirs = plan.study.study.name, there["study"]["name"]
+    by_name = "--surface" in plan.command and "--out" not in plan.command
+    if ours != theirs:
+        held = f"the study {shown(theirs)}, not {shown(ours)}"
+    elif by_name and not surfaces(plan).keys() & there.get("surfaces", {}).keys():
+        held = "the results of another surface of that name"
+    else:
+        return
+    raise InputError(f"{plan.directory}: holds {held}; choose another --out")
+
+
 # --- what has no chance ---
 
 
 def beyond_memory(plan: Plan, tasks: Sequence[Task], doubt: float = MEMORY_DOUBT) -> list[Finding]:
-    """What cannot be solved, with its place in the study: it takes more than `doubt` times this machine's memory.
-
-    Raises
-    ------
-    ValueError
-        the formula of a model, a plug-in's too, that gives no number.
-    """
+    """What takes more than `doubt` times this machine's memory, with its place in the study."""
     there = machine_memory()
     found = {}
     for needed, asked in sorted(
@@ -103,36 +121,23 @@ def _size(mesh: PlannedMesh) -> Size | None:
 
 
 def _held(plan: Plan, asked: Mapping[str, Any]) -> float:
-    """Bytes that a set-up declares to take; 0 where nobody knows. Raises ValueError, see `beyond_memory`."""
+    """Bytes that a set-up declares to take; 0 where nobody knows."""
     (model, solver), size = models.find(asked["name"]), _size(plan.meshes[asked["case"]["mesh"]])
     if model.memory is None or size is None:
         return 0.0
-    try:
-        found = float(model.memory(size.refined(asked["level"]), solver))
-        if not 0.0 <= found < math.inf:
-            raise ValueError(f"it says {found:g} B")
-    except (Exception, SystemExit) as error:
-        told = f"{asked['name']}: memory(size, solver) fails: {error!r}; mend it, or declare no memory"
-        raise ValueError(told) from error
-    return found
+    return float(model.memory(size.refined(asked["level"]), solver))
 
 
 def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     """What models will refuse of these cases."""
-    return list(
-        dict.fromkeys(told for name in plan.study.study.models for told in _refusals(plan, cases, name))
-    )
-
-
-def _refusals(plan: Plan, cases: Sequence[PlannedCase], name: str) -> Iterator[str]:
-    """Why a model refuses some of these cases."""
-    model = models.find(name)[0]
-    for case in cases:
-        yield from (told for _, told in refusals(case.study, name))
-    for mesh in dict.fromkeys(case.mesh for case in cases) if model.most_nodes else ():
-        size = _size(plan.meshes[mesh])
-        if size is not None and size.nodes > (model.most_nodes or 0):
-            yield (
-                f"{name} on a mesh of about {size.nodes:,.0f} surface nodes, more than its {model.most_nodes:,}; "
-                "use a larger mesh_size, or leave the model out"
-            )
+    found: dict[str, None] = {}
+    for name in plan.study.study.models:
+        most = models.find(name)[0].most_nodes
+        for case in cases:
+            found |= dict.fromkeys(told for _, told in refusals(case.study, name))
+        for mesh in dict.fromkeys(case.mesh for case in cases):
+            size = _size(plan.meshes[mesh]) if most else None
+            if most and size is not None and size.nodes > most:
+                told = f"{name} on a mesh of about {size.nodes:,.0f} surface nodes, more than its {most:,}"
+                found[f"{told}; use a larger mesh_size, or leave the model out"] = None
+    return list(found)

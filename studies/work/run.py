@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,23 +13,18 @@ import tomli_w
 from ..machine import LockedError, clear_abandoned, lock, write_atomically
 from ..measures.case import Run
 from ..store.cases import told_run
-from ..store.plain import StoreError
 from ..store.run_directory import (
     REPORT,
     RESOLVED,
     STUDY,
     failure_path,
-    keep_told,
-    read_plan,
-    refuse_foreign,
     write_failure,
     write_plan,
 )
 from ..study.config import resolved
 from ..study.errors import InputError
 from ..study.files import text_without_folders, without_folders
-from ..study.units import shown
-from .explain import beyond_memory, summary
+from .explain import beyond_memory, require_own, summary
 from .plan import Plan, PlannedCase
 from .pool import Pool, local_pool, run_tasks
 from .tasks import Task, case_payload, tasks_of
@@ -90,11 +84,10 @@ def run_plan(
     OSError
         disk full or read-only; a cluster that is not there or does not fit.
     """
-    refuse_foreign(plan.directory)
+    require_own(plan)
     plan.directory.mkdir(parents=True, exist_ok=True)
     cases = plan.cases_to_run(options.shard)
     with _locked(plan.directory, options.shard):
-        _check_study(plan)
         tasks = tasks_of(plan, cases)
         if options.scheduler is None:
             _check_memory(plan, tasks, watch)
@@ -110,24 +103,14 @@ def run_plan(
         for name, text in texts.items():
             write_atomically(plan.directory / name, text)
         write_plan(plan.directory, planned)
-        began = time.perf_counter()
-        used = 0.0
         try:
             if cases or timed:
                 with _pool(plan, options) as pool:
-                    used = _run_missing(plan, tasks, options, watch, pool)
+                    _run_missing(plan, tasks, options, watch, pool)
                     _time_frames(plan, cases, options, watch, pool)
         finally:  # workers may have been killed while they wrote, by an interruption too
             _tidy(plan)
         run, report = finish(plan.directory)
-        if cases and options.scheduler is None and options.shard == (1, 1):
-            planned["taken"] = {
-                "seconds": time.perf_counter() - began,
-                "processor_seconds": used,
-                "jobs": options.jobs,
-            }
-            write_plan(plan.directory, planned)
-            keep_told(plan.directory, planned, run.told or {})
         return dataclasses.replace(run, plan=planned), report
 
 
@@ -143,17 +126,6 @@ def _as_told(plan: Plan, texts: Mapping[str, bytes]) -> Run | None:
         and all((plan.directory / name).read_bytes() == text for name, text in texts.items())
     )
     return run if same else None
-
-
-def _check_study(plan: Plan) -> None:
-    """Raises InputError where the directory holds another study, whose tables and report would be lost."""
-    name = plan.study.study.name
-    with suppress(StoreError):  # nothing there, or nothing that can be read
-        other = read_plan(plan.directory)["study"]["name"]
-        if other != name:
-            raise InputError(
-                f"{plan.directory}: holds the study {shown(other)}, not {shown(name)}; choose another --out"
-            )
 
 
 def _check_memory(plan: Plan, tasks: Sequence[Task], watch: Callable[[Event], None]) -> None:
@@ -192,10 +164,9 @@ def _run_missing(
     options: Options,
     watch: Callable[[Event], None],
     pool: Pool,
-) -> float:
-    """Do the tasks; returns the seconds of processor that they took."""
+) -> None:
+    """Do the tasks."""
     watch(Event("begun", plan.study.study.name, count=len(tasks)))
-    used = 0.0
     for task, said in run_tasks(
         tasks,
         pool,
@@ -204,14 +175,12 @@ def _run_missing(
         started=lambda task: watch(Event("started", task.label)),
         where=lambda task, line: watch(Event("at", task.label, message=line)),
     ):
-        used += said.processor
         what = "done" if said.ok else "failed" if task.case else "stopped"  # whose cases say why
         watch(Event(what, task.label, said.seconds, said.message))
         if task.case is not None and said.ok:
             failure_path(plan.directory, task.case.hash, task.case.label).unlink(missing_ok=True)
         elif task.case is not None:
             _keep_failure(plan, task.case, said)
-    return used
 
 
 def _decides(plan: Plan) -> bool:

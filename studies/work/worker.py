@@ -56,7 +56,6 @@ class Said:
     message: str = ""
     remedy: str = ""
     log: str = ""
-    processor: float = 0.0  # seconds of all threads
 
     @property
     def ok(self) -> bool:
@@ -72,12 +71,12 @@ def do_task(text: str) -> str:
     """Do a task, given as JSON; what became of it, as JSON: an error is told, never raised."""
     task = json.loads(text)
     with _output_to(Path(task["log"])), reported(_tell_log()):
-        start, used = time.perf_counter(), time.process_time()
+        start = time.perf_counter()
         code, message, remedy = _outcome(lambda: _KINDS[task["kind"]](task["payload"]))
         if OUT_OF_MEMORY.search(message):
             message, remedy = "out of memory", MORE_MEMORY
-        seconds, processor = time.perf_counter() - start, time.process_time() - used
-    return Said(code, seconds, message, remedy, processor=processor).as_json()
+        seconds = time.perf_counter() - start
+    return Said(code, seconds, message, remedy).as_json()
 
 
 # --- the kinds of tasks ---

@@ -87,7 +87,6 @@ def test_the_report_is_rebuilt_from_a_copied_directory(copy: Path, tmp_path: Pat
     assert verdict["word"] in ("yes", "no")
     assert f"VDM as printed: {verdict['word']}. vdm-paper: " in result.stdout
     assert verdict["limits"][0]["key"] == "displacement_error"
-    assert " s of processor\n" in result.stdout.replace("\n  ", " ")
     assert list(rows["metrics"]) == ["vdm-paper", "fem-linear"]
     errors = [
         case.metrics["vdm-paper"]["relative_l2_displacement_error"].values[-1]
@@ -135,9 +134,7 @@ def test_a_surface_of_the_same_file_name_does_not_overwrite_the_results_of_anoth
     for verb in ("plan", "run", "calibrate"):
         refused = vdmbench(verb, *command, "b/ball.obj", cwd=tmp_path)
         assert refused.returncode == 2
-        assert (
-            "results of another surface of that name; give those of b/ball.obj a directory" in refused.stderr
-        )
+        assert "holds the results of another surface of that name; choose another --out" in refused.stderr
     assert (tmp_path / "results/runs/small-ball/report.html").read_bytes() == first
     assert vdmbench("run", *command, "b/ball.obj", "--out", "other", cwd=tmp_path).returncode == 0
     moved = vdmbench("plan", *command, "copy/ball.obj", "--json", cwd=tmp_path)
