@@ -44,6 +44,8 @@ from .scene.result import ModelResult
 from .scene.scene import Scene, build_scene
 from .study.files import merged
 from .study.schema import Anisotropy, Study
+from .verdict.acceptance import BEYOND, WITHIN, states_of
+from .verdict.acceptance import OPEN as UNSURE
 from .verdict.formatting import plain
 
 if TYPE_CHECKING:
@@ -58,10 +60,10 @@ TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)  # of warm starts
 LENGTHS = (10, 100, 1000)  # of load histories
 RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)  # of B to B_ij, over that of the rule
 CONTRAST = 4.0  # of fibres
+WIDEST = math.log(1e5)  # of a fitted modulus over its rule
 TINY = 1e-7  # largest displacement over the body's extent at which all solvers are linear
 AS_PRINTED: dict[str, float | str] = {"volume_row": "printed"}
 CORRECTED: dict[str, float | str] = {"volume_row": "corrected"}
-WIDEST = math.log(1e5)  # of a fitted modulus over its rule
 FINER = 1.6  # mesh size over that of the second mesh of an exponent
 FILLED = 0.4999  # Poisson's ratio of the elements whose own drift of volume is a floor
 
@@ -191,16 +193,11 @@ class Place:
     def bar(self) -> float:
         """The reference's own error (GCI): of linear elements on this mesh and on one refinement of it."""
         hierarchy = refined(self.scene.mesh, 1)
-        fine = restricted(
-            run_model(_at_full_load(level_scene(self.study, hierarchy)), "fem-linear"), hierarchy
-        )
+        scene = dataclasses.replace(level_scene(self.study, hierarchy), load_factors=np.ones(1))
+        fine = restricted(run_model(scene, "fem-linear"), hierarchy)
         coarse = self.answer("fem-linear", (1.0,))
         difference = relative_l2(coarse.displacement[-1], fine.displacement[-1], self.surface.areas)
         return estimate_error([difference]).gci
-
-
-def _at_full_load(scene: Scene) -> Scene:
-    return dataclasses.replace(scene, load_factors=np.ones(1))
 
 
 def _at_small_strain(values: Array, strain: Array) -> float:
@@ -212,10 +209,6 @@ def _at_small_strain(values: Array, strain: Array) -> float:
 
 Rule = Callable[[Place], Iterator[Point]]
 RULES: list[Rule] = []
-# what a rule measures does not depend on Poisson's ratio: it is tried with the last one of the grid alone
-OF_ONE_MATERIAL: set[Rule] = set()
-
-
 CONDENSED = "frame of a contact, both condensed"
 
 
@@ -228,27 +221,21 @@ def rule(function: Rule) -> Rule:
 @rule
 def volume(place: Place) -> Iterator[Point]:
     """1: drift of the exact volume, each solver in the loads that the paper gives it."""
-    every = "every printed solver in its range"
     within = place.strain <= SMALL_STRAIN
     elements = place.other(poisson_ratio=FILLED)
     floor = float(elements.drift("fem").max())
     drift = place.drift("vdm-paper")
-    for row, steps in (
-        (every, within),
-        ("(28), linear, strain below 10 %", within),
-        ("(28), linear, beyond", ~within),
-    ):
+    for row, steps in (("(28), linear, strain below 10 %", within), ("(28), linear, beyond", ~within)):
         if steps.any():
             yield Point(row, drift[steps].max(), model="vdm-paper", floor=floor)
-    for row, name, given, printed in (
-        ("(33) as printed, quasi-linear", "vdm-paper:quasi-linear", AS_PRINTED, True),
-        ("(33) as printed, Figure 8", "vdm-paper:figure-8", AS_PRINTED, True),
-        ("sum of A_i L_i, nonlinear", "vdm-paper:nonlinear", NOTHING, True),
-        ("(33) corrected, quasi-linear", "vdm-paper:quasi-linear", CORRECTED, False),
-        *(("exact volume, derived nonlinear", name, NOTHING, False) for name in DERIVED),
+    for row, name, given in (
+        ("(33) as printed, quasi-linear", "vdm-paper:quasi-linear", AS_PRINTED),
+        ("(33) as printed, Figure 8", "vdm-paper:figure-8", AS_PRINTED),
+        ("sum of A_i L_i, nonlinear", "vdm-paper:nonlinear", NOTHING),
+        ("(33) corrected, quasi-linear", "vdm-paper:quasi-linear", CORRECTED),
+        *(("exact volume, derived nonlinear", name, NOTHING) for name in DERIVED),
     ):
-        for told in (row, every) if printed else (row,):
-            yield Point(told, place.drift(name, given).max(), model=name, floor=floor)
+        yield Point(row, place.drift(name, given).max(), model=name, floor=floor)
     if elements is place:
         yield Point("mixed elements of 0.4999 themselves", floor, model="fem")
 
@@ -281,8 +268,7 @@ def complexity(place: Place) -> Iterator[Point]:
     yield Point(CONDENSED, own[CONDENSED][1] / own[CONDENSED][0])
     for quantity in (quantity for quantity in own if quantity != CONDENSED):
         printed, elements = own[quantity]
-        for row in ("elements over printed, each quantity", quantity):
-            yield Point(row, elements / printed, setting=f"quantity = {quantity}")
+        yield Point(quantity, elements / printed, setting=f"quantity = {quantity}")
         slopes = [
             growth_exponent(np.array([1.0, FINER]), np.array(ends))
             for ends in zip(own[quantity], finer[quantity], strict=True)
@@ -294,9 +280,6 @@ def complexity(place: Place) -> Iterator[Point]:
     alike = own if place.bar <= off else finer
     for row, quantity in (("unknowns", "unknowns"), ("frame", "frame, all nodes")):
         yield Point(f"at equal error, {row}", alike[quantity][1] / finer[quantity][0])
-
-
-OF_ONE_MATERIAL.add(complexity)
 
 
 def _amounts(scene: Scene) -> dict[str, tuple[float, float]]:
@@ -347,11 +330,9 @@ def small_steps(place: Place) -> Iterator[Point]:
     for solver in ("quasi-linear", "nonlinear", "figure-8", "incremental"):
         name, given = f"vdm-paper:{solver}", AS_PRINTED if solver == "quasi-linear" else NOTHING
         one, many = (place.end(name, steps, given) for steps in (1, MANY_STEPS))
-        form = (
-            "incremental form" if solver == "incremental" else "total form: quasi-linear, nonlinear, Figure 8"
-        )
-        for row in ("printed form, 100 steps", form):
-            yield Point(row, place.size(many), place.bar, name)
+        total = "total form: quasi-linear, nonlinear, Figure 8"
+        form = "incremental form" if solver == "incremental" else total
+        yield Point(form, place.size(many), place.bar, name)
         yield Point("normal component, 100 steps", place.size(many, normal=True), place.bar, name)
         gain = place.size(one) - place.size(many)
         bar = place.bar * place.turned(one, many)
@@ -382,9 +363,6 @@ def warm_start(place: Place) -> Iterator[Point]:
             setting = f"tolerance = {tolerance:g}; steps = {steps}; B_ij = {stiff:g}"
             yield Point("cold over warm iterations", gain, setting=setting)
     yield Point("of the best setting alone", best)
-
-
-OF_ONE_MATERIAL.add(warm_start)
 
 
 @rule
@@ -468,8 +446,7 @@ def stability(place: Place) -> Iterator[Point]:
             found = place.answer(f"vdm-paper:{solver}", (factor,), given)
             off = relative_l2(found.displacement[-1], direct, place.surface.areas)
             value = off if found.status[-1].ok and math.isfinite(off) else math.inf
-            for row in (solver, "every solver"):
-                yield Point(row, value, model=f"vdm-paper:{solver}", setting=f"ratio = {ratio:g}")
+            yield Point(solver, value, model=f"vdm-paper:{solver}", setting=f"ratio = {ratio:g}")
 
 
 @rule
@@ -485,9 +462,6 @@ def iterations(place: Place) -> Iterator[Point]:
         yield Point("the same, warm, 100 steps", mean, setting=f"tolerance = {tolerance:g}")
 
 
-OF_ONE_MATERIAL.add(iterations)
-
-
 @rule
 def memory(place: Place) -> Iterator[Point]:
     """11: numbers in the factors of the state matrix over those in it, and how those grow."""
@@ -499,12 +473,7 @@ def memory(place: Place) -> Iterator[Point]:
         if len(counts) == 1:
             factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0)
             yield Point("numbers in L and U over those in K", (factors.L.nnz + factors.U.nnz) / matrix.nnz)
-    (nodes, numbers), (more_nodes, more) = counts
-    growth = math.log(more / numbers) / math.log(more_nodes / nodes)
-    yield Point("exponent of the numbers in K over nodes", growth)
-
-
-OF_ONE_MATERIAL.add(memory)
+    yield Point("exponent of the numbers in K over nodes", growth_exponent(*np.array(counts).T))
 
 
 @rule
@@ -578,8 +547,8 @@ class Patches:
             scene = dataclasses.replace(place.scene, facet_pressure=pressure, load_factors=np.ones(1))
             self.scenes.append(scene)
 
-    def answers(self, multiples: Array, scenes: Sequence[Scene]) -> list[Array]:
-        """(N,) normal displacement of the printed form under each load, moduli as multiples of the rule's."""
+    def answers(self, multiples: Array, scenes: Sequence[Scene]) -> Array:
+        """(L, N) normal displacement of the printed form under each load, moduli as multiples of the rule's."""
         rest = _rule_of(self.place.scene)
         bulk, edge = (
             m * np.asarray(v)
@@ -588,26 +557,21 @@ class Patches:
         moduli = dataclasses.replace(rest, bulk_modulus=bulk, connectivity_modulus=edge)
         solver = _printed(self.place.scene, moduli).solver
         fields = [solver.step(Load(scene.contact_pressure)).displacement for scene in scenes]
-        return [np.einsum("ni,ni->n", u, self.place.surface.normals) for u in fields]
+        return along(np.array(fields), self.place.surface.normals)[..., 0]
 
     def fitted(self, count: int) -> Array:
         """(2,) multiples with the least squared normal error on the patches; of B alone where `count` is 1."""
-        true = [run_model(scene, "fem-linear").displacement[-1] for scene in self.scenes]
+        true = np.array([run_model(scene, "fem-linear").displacement[-1] for scene in self.scenes])
         weights = np.sqrt(self.place.surface.areas)
-        wanted = [weights * np.einsum("ni,ni->n", r, self.place.surface.normals) for r in true]
-        sizes = [np.linalg.norm(one) for one in wanted]
+        wanted = weights * along(true, self.place.surface.normals)[..., 0]
+        sizes = np.linalg.norm(wanted, axis=1, keepdims=True)
 
         def both(multiples: Array) -> Array:
-            return np.array([*multiples, *[1.0] * (2 - count)])
-
-        def answer(multiples: Array) -> Array:
-            found = self.answers(both(multiples), self.scenes)
-            return np.concatenate([weights * u / size for u, size in zip(found, sizes, strict=True)])
-
-        target = np.concatenate([one / size for one, size in zip(wanted, sizes, strict=True)])
+            return np.append(multiples, np.ones(2 - count))
 
         def lacking(logs: Array) -> Array:
-            return np.asarray(answer(np.exp(logs)) - target)
+            answers = weights * self.answers(both(np.exp(logs)), self.scenes)
+            return np.ravel(answers / sizes - wanted / sizes)
 
         found = least_squares(lacking, np.zeros(count), bounds=(-WIDEST, WIDEST))
         return both(np.exp(found.x))
@@ -625,6 +589,12 @@ def places(cache: Path) -> list[Place]:
             place.others |= {(other.poisson_ratio, 1.0): other for other in same}
         found += same
     return found
+
+
+def ratios_of(number: int) -> Sequence[float]:
+    """Poisson's ratios that a claim is tried with: the last of the grid where what is measured hangs on none."""
+    every: list[float] = DATA["grid"]["poisson_ratio"]
+    return every[-1:] if DATA["claims"][number - 1].get("one_material") else every
 
 
 def measure(
@@ -652,14 +622,12 @@ def measure(
         case = place.body, place.mesh_name, place.poisson_ratio
         watch(f"{place.body}, {place.mesh_name} mesh, Poisson's ratio {place.poisson_ratio:g}")
         for number in chosen:
-            function = RULES[number - 1]
-            if function in OF_ONE_MATERIAL and place.poisson_ratio != DATA["grid"]["poisson_ratio"][-1]:
-                continue
-            with np.errstate(all="ignore"):
-                rows += [
-                    (number, p.row, *case, p.model, p.setting, p.value, p.bar, p.floor)
-                    for p in function(place)
-                ]
+            if place.poisson_ratio in ratios_of(number):
+                with np.errstate(all="ignore"):
+                    rows += [
+                        (number, p.row, *case, p.model, p.setting, p.value, p.bar, p.floor)
+                        for p in RULES[number - 1](place)
+                    ]
     return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("claim", kind="stable", ignore_index=True)
 
 
@@ -682,13 +650,17 @@ class Row:
 
 
 def judge(points: DataFrame) -> list[Row]:
-    """Every row of every claim that has points."""
-    return [
-        _row(number, name, limit, claim.get("along", ()), own)
-        for number, claim in enumerate(DATA["claims"], start=1)
-        for name, limit in claim["rows"].items()
-        if len(own := points[(points["claim"] == number) & (points["row"] == name)])
-    ]
+    """Every row of every claim that has points: its own, or those of the rows that it is `of`."""
+    import pandas as pd
+
+    groups = dict(list(points.groupby(["claim", "row"], sort=False)))
+    found = []
+    for number, claim in enumerate(DATA["claims"], start=1):
+        for name, about in claim["rows"].items():
+            limit = {sense: about[sense] for sense in ("at_most", "at_least") if sense in about}
+            if own := [groups[number, row] for row in about.get("of", [name]) if (number, row) in groups]:
+                found.append(_row(number, name, limit, claim.get("along", ()), pd.concat(own)))
+    return found
 
 
 def _row(number: int, name: str, limit: Mapping[str, float], along: Sequence[str], points: DataFrame) -> Row:
@@ -699,9 +671,10 @@ def _row(number: int, name: str, limit: Mapping[str, float], along: Sequence[str
         return Row(*about, "", "", 0, len(values), *ends)
     ((sense, least),) = limit.items()
     bound = np.fmax(least, points["floor"].to_numpy())
-    away = values - bound if sense == "at_most" else bound - values  # positive: beyond the limit
-    holds, fails = away + bars <= 0.0, away - bars > 0.0
-    told = f"{'at most' if sense == 'at_most' else 'at least'} {least:g}"
+    sign = 1.0 if sense == "at_most" else -1.0
+    states = states_of(sign * values, bars, sign * bound)
+    holds, fails = states == WITHIN, states >= BEYOND
+    told = f"{sense.replace('_', ' ')} {least:g}"
     if (bound > least).any():
         told += f" or the floor, {plain(bound.max(), 2)}"
     word, part = MIXED, ""
@@ -711,7 +684,7 @@ def _row(number: int, name: str, limit: Mapping[str, float], along: Sequence[str
         word = WITHIN_LIMITS
     elif fails.sum() * 2 > len(values):
         word = FAILS
-    elif not fails.any() or (~holds & ~fails).sum() * 2 > len(values):
+    elif not fails.any() or (states == UNSURE).sum() * 2 > len(values):
         word = OPEN
     return Row(*about, word, told, int(holds.sum()), len(values), *ends, part)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ from ..measures.pushed import Answer, Pushed
 from ..scene.result import ModelResult
 from ..study.loads import Constraint
 from ..study.schema import Study
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 LEAST_TIMES = 3  # measured times, from which on none within is no chance
 NODAL, FRAME_TIME = max_nodal_error.__name__, "frame_time"
@@ -67,7 +71,7 @@ def criteria(study: Study) -> tuple[Criterion, ...]:
     return tuple(found)
 
 
-def states_of(values: Array, bars: Array, allowed: float) -> States:
+def states_of(values: Array, bars: Array, allowed: float | Array) -> States:
     """WITHIN or BEYOND, whatever the reference's own error is; else OPEN. LOST of what is not finite.
 
     An error of the reference that was not measured counts as none.
@@ -172,13 +176,10 @@ class UpTo:
 
 @dataclass(frozen=True)
 class KnownLoads:
-    """The K steps of all cases that carry a load: unit, (K,) loads, (K,) depths [m], (K,) cases and steps."""
+    """The steps of all cases that carry a load: its unit; rows of load, depth [m], number of the case, step."""
 
     unit: str
-    loads: Array
-    depths: Array
-    cases: NDArray[np.int64]
-    steps: NDArray[np.int64]
+    rows: DataFrame
 
 
 def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> KnownLoads:
@@ -186,43 +187,50 @@ def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> Kno
 
     They are shares of the full load, "1", where the cases do not tell them in one unit.
     """
-    units, curves = set(), []
-    for case, surface in zip(cases, surfaces, strict=True):
+    import pandas as pd
+
+    units, found = set(), []
+    for k, (case, surface) in enumerate(zip(cases, surfaces, strict=True)):
         every, reference = pushes(case, surface), case.models.get(str(case.reference))
         chosen = [one for one in every if one.constraint.kind == "contact"] or every
         alone = len(chosen) == 1 and reference is not None
         units.add(chosen[0].unit if alone else "1")
-        nothing = np.full(len(case.load_factors), math.nan)
-        curves.append(chosen[0].curve(Answer.of(reference)) if alone and reference else (nothing, nothing))
-    unit = units.pop() if len(units) == 1 else "1"
-    rows = []
-    for k, (case, (depths, loads)) in enumerate(zip(cases, curves, strict=True)):
+        depths, loads = chosen[0].curve(Answer.of(reference)) if alone and reference else (math.nan, math.nan)
         sizes = np.abs(case.load_factors)
-        told = sizes / max(sizes.max(), np.finfo(float).tiny) if unit == "1" else np.abs(loads)
-        steps = np.flatnonzero((sizes > 0.0) & (told > 0.0) & np.isfinite(told))
-        rows += [(told[step], depths[step], k, step) for step in steps]
-    loads, depths, numbers, steps = np.array(rows or np.zeros((0, 4))).T
-    return KnownLoads(unit, loads, depths, numbers.astype(int), steps.astype(int))
+        share = sizes / max(sizes.max(), np.finfo(float).tiny)
+        own = {
+            "load": np.abs(loads),
+            "share": share,
+            "depth": depths,
+            "case": k,
+            "step": np.arange(len(sizes)),
+        }
+        found.append(pd.DataFrame(own))
+    unit = units.pop() if len(units) == 1 else "1"
+    rows = pd.concat(found)
+    rows["load"] = rows["share"] if unit == "1" else rows["load"]
+    return KnownLoads(
+        unit, rows[(rows["share"] > 0.0) & (rows["load"] > 0.0)].sort_values("load", kind="stable")
+    )
 
 
 def up_to(known: KnownLoads, states: States) -> UpTo | None:
     """Of all steps that carry a load, from the (C, S) states of a model; None where it answers at none."""
-    if (states[known.cases, known.steps] == LOST).all():
+    rows = known.rows.assign(
+        state=states[known.rows["case"], known.rows["step"]], depth=known.rows["depth"].abs()
+    )
+    if (rows["state"] == LOST).all():
         return None
-    order = np.argsort(known.loads, kind="stable")
-    loads, depths = known.loads[order], known.depths[order]
-    states = states[known.cases[order], known.steps[order]]
     # points of one load are one group, of which the worst decides
-    starts = np.flatnonzero(np.concatenate([[True], np.diff(loads) > _SAME * loads[1:]]))
-    worst = np.maximum.reduceat(states, starts)
-    within = int(np.argmin(np.append(worst, BEYOND) == WITHIN))  # groups before the first that is not
-    last = slice(starts[within - 1], starts[within] if within < len(starts) else None)
-    reached = np.abs(depths[last]) if within else np.zeros(0)
+    group = (rows["load"].diff() > _SAME * rows["load"]).cumsum()
+    loads = rows.groupby(group).agg(load=("load", "first"), depth=("depth", "min"), state=("state", "max"))
+    within = loads[(loads["state"] == WITHIN).cummin()]
+    last = within.iloc[-1] if len(within) else {"load": math.nan, "depth": math.nan}
     return UpTo(
-        load=float(loads[starts[within - 1]]) if within else math.nan,
+        load=float(last["load"]),
         unit=known.unit,
-        depth=min((depth for depth in reached.tolist() if math.isfinite(depth)), default=math.nan),
-        least=float(loads[0]),
-        most=float(loads[starts[-1]]),
-        open=within < len(starts) and int(worst[within]) == OPEN,
+        depth=float(last["depth"]),
+        least=float(loads["load"].iloc[0]),
+        most=float(loads["load"].iloc[-1]),
+        open=len(within) < len(loads) and int(loads["state"].iloc[len(within)]) == OPEN,
     )
