@@ -209,11 +209,9 @@ class Trial:
         for place, sample in enumerate(self.samples):
             alike.setdefault(sample.bodies.get(name, ""), []).append(place)
         self._bodies = list(alike.values())
-        self.rules = [self._rule(result) for result in self._run(None)]
-
-    def values(self, multiples: Array) -> dict[str, float]:
-        """Parameters [SI] on the first load's scene."""
-        return dict(zip(self.names, (self.rules[0] * multiples).tolist(), strict=True))
+        self.rules = [
+            np.array([float(result.parameters[key]) for key in self.names]) for result in self._run(None)
+        ]
 
     def answers(self, multiples: Array) -> list[Array]:
         """The model's (N, 3) displacement for each load [m]; loads on one body share a set-up."""
@@ -234,9 +232,6 @@ class Trial:
             max(sample.bars[VECTOR] for sample in self.samples),
             max(sample.bars[DEFORMATION] for sample in self.samples),
         )
-
-    def _rule(self, result: ModelResult) -> Array:
-        return np.array([float(result.parameters[key]) for key in self.names])
 
     def _run(self, values: Sequence[Array] | None) -> list[ModelResult]:
         """The result of each load with these parameters [SI], or with those of the rule."""
@@ -273,6 +268,7 @@ class Fit:
     parameters : parameter -> value [SI] on body, tissue and mesh of the first training load, whose label is `where`
     by_rule, held_out : errors of the rule and of the fit on the loads held out
     training : of the fit on the others
+    transfer : study -> errors of these multiples of the rule on its held-out loads
     """
 
     model: str
@@ -282,33 +278,22 @@ class Fit:
     training: Errors
     held_out: Errors
     where: str = ""
+    transfer: Mapping[str, Errors] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """One model fitted on one body, and what the fit is worth elsewhere.
-
-    Attributes
-    ----------
-    transfer : study -> errors of these multiples of the rule on its held-out loads
-    """
-
-    fit: Fit
-    transfer: Mapping[str, Errors]
-
-
-def calibrate(body: Body, others: Sequence[Body] = ()) -> list[Calibration]:
+def calibrate(body: Body, others: Sequence[Body] = ()) -> list[Fit]:
     """Fit every surface model of a body and try the fits elsewhere."""
-    found = [fit(name, body.training, body.held_out) for name in body.models]
-    return [
-        Calibration(one, {other.name: _errors(other, one) for other in others if one.model in other.models})
-        for one in found
-    ]
-
-
-def _errors(there: Body, found: Fit) -> Errors:
-    trial = Trial(found.model, there.held_out, tuple(found.multiples))
-    return trial.errors(np.array(list(found.multiples.values())))
+    found = []
+    for one in (fit(name, body.training, body.held_out) for name in body.models):
+        there = {
+            other.name: Trial(one.model, other.held_out, tuple(one.multiples))
+            for other in others
+            if one.model in other.models
+        }
+        multiples = np.array(list(one.multiples.values()))
+        transfer = {name: trial.errors(multiples) for name, trial in there.items()}
+        found.append(dataclasses.replace(one, transfer=transfer))
+    return found
 
 
 def fit(name: str, training: Sequence[Sample], held_out: Sequence[Sample]) -> Fit:
@@ -324,7 +309,7 @@ def fit(name: str, training: Sequence[Sample], held_out: Sequence[Sample]) -> Fi
     return Fit(
         model=name,
         multiples=dict(zip(trial.names, multiples.tolist(), strict=True)),
-        parameters=trial.values(multiples),
+        parameters=dict(zip(trial.names, (trial.rules[0] * multiples).tolist(), strict=True)),
         by_rule=unseen.errors(np.ones(len(trial.names))),
         training=trial.errors(multiples),
         held_out=unseen.errors(multiples),
@@ -413,30 +398,30 @@ def least_squares_of_moduli(answer: Callable[[Array], Array], target: Array, cou
 # --- What is printed ---
 
 
-def table(entries: Sequence[Calibration]) -> list[dict[str, str]]:
+def table(fits: Sequence[Fit]) -> list[dict[str, str]]:
     """One row per model. Errors are mean displacement / mean deformation over the loads."""
-    elsewhere = dict.fromkeys(study for entry in entries for study in entry.transfer)
+    elsewhere = dict.fromkeys(study for fit in fits for study in fit.transfer)
     rows = []
-    for entry in entries:
-        fit = entry.fit
+    for fit in fits:
         values = (
             f"{key} {quantity(value, unit_of(VdmTable(), key))}" for key, value in fit.parameters.items()
         )
+        # other studies need not have all the models
+        there = {
+            f"on {study}": in_percent(fit.transfer[study]) if study in fit.transfer else NOTHING
+            for study in elsewhere
+        }
         rows.append(
             {
                 "model": fit.model,
                 "fitted": ", ".join(values),
-                "times its rule": _multiples(fit.multiples),
+                "times its rule": ", ".join(f"{value:.3g}" for value in fit.multiples.values()),
                 "training loads": in_percent(fit.training),
                 "held out, by rule": in_percent(fit.by_rule),
                 "held out, fitted": in_percent(fit.held_out),
                 "reference's own": bars_in_percent(fit.held_out),
-                # other studies need not have all the models
-                **{
-                    f"on {study}": in_percent(entry.transfer[study]) if study in entry.transfer else NOTHING
-                    for study in elsewhere
-                },
             }
+            | there
         )
     return rows
 
@@ -455,21 +440,20 @@ def bars_in_percent(found: Errors) -> str:
     )
 
 
-def _multiples(multiples: Mapping[str, float]) -> str:
-    return ", ".join(f"{value:.3g}" for value in multiples.values())
+def as_json(fits: Sequence[Fit]) -> dict[str, dict[str, dict[str, object]]]:
+    """Model -> its fit, and its errors elsewhere, as plain data."""
+    found = {}
+    for one in map(dataclasses.asdict, fits):
+        transfer = one.pop("transfer")
+        found[str(one["model"])] = {"fit": one, "transfer": transfer}
+    return found
 
 
-def as_json(entries: Sequence[Calibration]) -> dict[str, dict[str, object]]:
-    """Model -> its calibration as plain data."""
-    return {entry.fit.model: dataclasses.asdict(entry) for entry in entries}
-
-
-def as_toml(entries: Sequence[Calibration]) -> str:
+def as_toml(fits: Sequence[Fit]) -> str:
     """Tables to paste into a study file: [vdm] for one model, a [models."NAME"] table each for several."""
     blocks = []
-    for entry in entries:
-        fit = entry.fit
-        title = "vdm" if len(entries) == 1 else f'models."{fit.model}"'
+    for fit in fits:
+        title = "vdm" if len(fits) == 1 else f'models."{fit.model}"'
         told = (
             f"# of the case {fit.where or 'that the study has'}\n"
             f"# held out: by rule {in_percent(fit.by_rule)}, fitted {in_percent(fit.held_out)}; "

@@ -123,9 +123,7 @@ def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: lis
     assert [list(row) for row in rows] == [list(rows[0])] * 2
     assert rows[0]["on else"] == "–" != rows[1]["on else"]
     written = tomllib.loads(as_toml([entry]))
-    assert_allclose(
-        written["vdm"]["surface_tension"], entry.fit.parameters["surface_tension"], rtol=1e-5, atol=0
-    )
+    assert_allclose(written["vdm"]["surface_tension"], entry.parameters["surface_tension"], rtol=1e-5, atol=0)
 
 
 def finished(text: str, directory: Path) -> tuple[Run, Plan]:
@@ -291,10 +289,10 @@ def test_errors_are_those_on_the_held_out_loads_of_each_body(samples: list[Sampl
     own = Body("own", ("vdm-vector",), side(first, 1.0), side(second, 2.0))
     other = Body("other", ("vdm-vector",), side(first, 8.0), side(second, 10.0))
     (entry,) = calibrate(own, [other])
-    assert_allclose(entry.fit.multiples["surface_tension"], 1.3, rtol=1e-9, atol=0)
-    assert_errors(entry.fit.training, 1.0)
-    assert_errors(entry.fit.held_out, 2.0)
-    assert_allclose(entry.fit.by_rule.vector, 1.0 - 1.3 / 2.0, rtol=1e-9, atol=0)
+    assert_allclose(entry.multiples["surface_tension"], 1.3, rtol=1e-9, atol=0)
+    assert_errors(entry.training, 1.0)
+    assert_errors(entry.held_out, 2.0)
+    assert_allclose(entry.by_rule.vector, 1.0 - 1.3 / 2.0, rtol=1e-9, atol=0)
     assert_errors(entry.transfer["other"], 10.0)
 
 
