@@ -14,7 +14,7 @@ import sys
 import tempfile
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
@@ -38,13 +38,14 @@ from vdmbench.verdict.reading import WRONG, reading
 EVIDENCE: dict[str, dict[str, Any]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text())
 MEASURES = (VECTOR, DEFORMATION)
 NORMAL = "relative_l2_normal_error"
+DRIFT, DISPLACED = "volume_drift", "volume_drift_of_displaced"
 ALONG_NORMALS = ("vdm-paper", "vdm-consistent")  # the models that move nodes along normals only
 STEP = 1e-3  # m, by which a patch is moved; linear models have the same errors at every other
 
 
 def ran(
     study: str, changes: Mapping[str, Any] | None = None, name: str = "", *, surface: Path | None = None,
-    codes: tuple[int, ...] = (0,), runs: Path = RUNS,
+    codes: tuple[int, ...] = (0,),
 ) -> Run:  # fmt: skip
     """A shipped study with changed values, run as far as it is missing.
 
@@ -58,22 +59,22 @@ def ran(
     if changes or name:
         wanted = {"study": {"name": name or study}, **(changes or {})}
         text = tomli_w.dumps(merged(tomllib.loads(text), wanted))
-    return ran_text(text, name or study, surface=surface, codes=codes, runs=runs, beside=path)
+    return ran_text(text, name or study, surface=surface, codes=codes, called=study)
 
 
 def ran_text(
-    text: str, name: str, *, surface: Path | None = None, codes: tuple[int, ...] = (0,), runs: Path = RUNS,
-    beside: Path | None = None,
+    text: str, name: str, *, surface: Path | None = None, codes: tuple[int, ...] = (0,),
+    called: str = "", files: Iterable[Path] = (),
 ) -> Run:  # fmt: skip
-    """A study given as text, run in `runs/name`; files that it reads lie beside the shipped one."""
+    """A study given as text, run in `results/runs/NAME` with `files` and what shipped studies read beside it."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{beside.stem if beside else Path(name).name}.toml"
+        path = Path(folder) / f"{called or Path(name).name}.toml"
         path.write_text(text, encoding="utf-8")
-        for data in CASES.glob("*.csv"):
-            (Path(folder) / data.name).write_bytes(data.read_bytes())
+        for data in (*CASES.glob("*.csv"), *files):
+            shutil.copy(data, folder)
         given = ["--surface", surface] if surface else []
-        finished("run", path, *given, "--out", runs / name, "--jobs", "1", codes=codes)
-    return read_run(runs / name)
+        finished("run", path, *given, "--out", RUNS / name, "--jobs", "1", codes=codes)
+    return read_run(RUNS / name)
 
 
 def study_of(own: Mapping[str, Any], body: str, load: str, **study: Any) -> str:
@@ -95,14 +96,34 @@ def slashed(values: Sequence[float] | np.ndarray) -> str:
     return " / ".join(map(as_per_cent, values))
 
 
-def means(cases: Sequence[CaseResult], metric: str) -> float:
-    """Mean of a metric of the reference at full load."""
-    return float(np.mean([where_reached(case, str(case.reference), metric) for case in cases]))
+def reached(cases: Sequence[CaseResult], model: str, metrics: Sequence[str] = MEASURES) -> np.ndarray:
+    """(metrics, cases) of a model, "" for the reference, at the largest load that this reached."""
+    return np.array(
+        [[where_reached(c, model or str(c.reference), metric) for c in cases] for metric in metrics]
+    )
 
 
-def own_error(cases: Sequence[CaseResult]) -> list[float]:
-    """The reference's own error in displacement and change of shape, means over the cases."""
-    return [float(np.mean([reference_bar(case, measure) for case in cases])) for measure in MEASURES]
+def own_error(cases: Sequence[CaseResult], metrics: Sequence[str] = MEASURES) -> np.ndarray:
+    """(metrics, cases) the reference's own error in them."""
+    return np.array([[reference_bar(case, metric) for case in cases] for metric in metrics])
+
+
+def motion(cases: Sequence[CaseResult]) -> list[str]:
+    """The share of rigid motion in the reference's displacement, and what it is off itself, moved along normals."""
+    return [
+        as_per_cent(share) for share in reached(cases, "", ("rigid_share", "tangential_share")).mean(axis=1)
+    ]
+
+
+def mean_and_worst(errors: np.ndarray, bars: np.ndarray | float = 0.0) -> str:
+    """Means of (metrics, cases), ~ where a bar is too wide, the worst in brackets; NOTHING where one lacks."""
+    if not np.isfinite(errors).all():
+        return NOTHING
+    sure = is_resolved(errors, bars).all(axis=1)
+    shown = [
+        ("" if ok else "~") + as_per_cent(mean) for ok, mean in zip(sure, errors.mean(axis=1), strict=True)
+    ]
+    return f"{' / '.join(shown)} ({slashed(errors.max(axis=1))})"
 
 
 def kept(path: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[list[str]]:
@@ -143,26 +164,18 @@ def accuracy_head() -> list[str]:
     return ["body", "nodes", "loads", "rigid", "reference's own", "least along normals", *names]
 
 
-def accuracy_row(row: Mapping[str, Any], *, surface: Path | None = None, runs: Path = RUNS) -> list[str]:
+def accuracy_row(row: Mapping[str, Any], *, surface: Path | None = None) -> list[str]:
     """A row: size, the reference's motion and own error, and each model's errors, mean and in brackets worst."""
     study = "accuracy-organ" if surface else f"accuracy-{row['body']}"
     changes, words = accuracy_changes(study, row)
     suffix = words.replace(", ", "-").replace(" ", "-").replace("%", "percent")
-    cases = ran(study, changes, f"accuracy-{row['body']}{suffix}", surface=surface, runs=runs).cases
-    cells = [str(len(cases[0].points)), str(len(cases)), as_per_cent(means(cases, "rigid_share"))]
-    cells += [slashed(own_error(cases)), as_per_cent(means(cases, "tangential_share"))]
+    cases = ran(study, changes, f"accuracy-{row['body']}{suffix}", surface=surface).cases
+    rigid, along_normals = motion(cases)
+    own = slashed(own_error(cases).mean(axis=1))
+    cells = [str(len(cases[0].points)), str(len(cases)), rigid, own, along_normals]
     for model in EVIDENCE["accuracy"]["columns"]:
-        measures = (*MEASURES, NORMAL) if model in ALONG_NORMALS else MEASURES
-        errors = np.array([[where_reached(case, model, measure) for case in cases] for measure in measures])
-        if not np.isfinite(errors).all():
-            cells.append(NOTHING)
-            continue
-        bars = [[reference_bar(case, measure) for case in cases] for measure in measures]
-        sure = [all(map(is_resolved, *pair)) for pair in zip(errors.tolist(), bars, strict=True)]
-        shown = [
-            ("" if ok else "~") + as_per_cent(e) for ok, e in zip(sure, errors.mean(axis=1), strict=True)
-        ]
-        cells.append(f"{' / '.join(shown)} ({slashed(errors.max(axis=1))})")
+        metrics = (*MEASURES, NORMAL) if model in ALONG_NORMALS else MEASURES
+        cells.append(mean_and_worst(reached(cases, model, metrics), own_error(cases, metrics)))
     return [row["body"] + words, *cells]
 
 
@@ -211,40 +224,37 @@ def over_bodies(rows: Sequence[Sequence[str]]) -> list[list[str]]:
     ]
 
 
-def ratio_rows(
-    body: str, study: str, *, surface: Path | None = None, runs: Path = RUNS
-) -> Iterator[list[str]]:
+def ratio_rows(body: str, study: str, *, surface: Path | None = None) -> Iterator[list[str]]:
     """A row a ratio: errors in displacement, shape and volume, over the volume that the reference displaces."""
-    own, ratio_key, inside_key = EVIDENCE["ratios"], "tissue.poisson_ratio", "models.bem.compressibility"
-    sweep = tomllib.loads((CASES / f"{study}.toml").read_text())["sweep"]
-    loads = {key: values for key, values in sweep.items() if key != "mode"}
-    count = len(next(iter(loads.values())))
-    both = [(ratio, inside) for ratio in own["ratios"] for inside in own["inside"]]
-    swept = {key: values * len(both) for key, values in loads.items()}
-    swept[ratio_key] = [ratio for ratio, _ in both for _ in range(count)]
-    swept[inside_key] = [inside for _, inside in both for _ in range(count)]
-    name = f"accuracy-{body}-ratios"
-    changes = own["set"] | {"study": own["set"]["study"] | {"name": name}, "sweep": swept}
-    cases = ran(study, changes, name, surface=surface, runs=runs).cases
-
-    def cell(model: str, ratio: float, inside: str) -> str:
-        own_cases = [c for c in cases if (c.swept[ratio_key], c.swept[inside_key]) == (ratio, inside)]
-        errors = np.array([_with_volume(case, model) for case in own_cases])
-        return f"{slashed(errors.mean(axis=0))} ({slashed(errors.max(axis=0))})"
-
+    own = EVIDENCE["ratios"]
     for ratio in own["ratios"]:
-        here = [c for c in cases if (c.swept[ratio_key], c.swept[inside_key]) == (ratio, "tissue")]
-        volume = [abs(where_reached(c, str(c.reference), "volume_drift_of_displaced")) for c in here]
-        forms = [cell("bem", ratio, inside) for inside in own["inside"]]
-        elements = cell("fem-linear", ratio, "tissue")
-        yield [body, str(ratio), slashed(own_error(here)), as_per_cent(np.mean(volume)), *forms, elements]
+        tissue, fluid = (
+            ran(
+                study,
+                merged(
+                    own["set"],
+                    {"tissue": {"poisson_ratio": ratio}, "models": {"bem": {"compressibility": inside}}},
+                ),
+                f"accuracy-{body}-{ratio}-{inside}",
+                surface=surface,
+            ).cases
+            for inside in own["inside"]
+        )
+        errors = (_with_volume(tissue, "bem"), _with_volume(fluid, "bem"), _with_volume(tissue, "fem-linear"))
+        volume = as_per_cent(np.abs(reached(tissue, "", [DISPLACED])).mean())
+        yield [
+            body,
+            str(ratio),
+            slashed(own_error(tissue).mean(axis=1)),
+            volume,
+            *map(mean_and_worst, errors),
+        ]
 
 
-def _with_volume(case: CaseResult, model: str) -> tuple[float, ...]:
-    reference = str(case.reference)
-    drift, own = (where_reached(case, name, "volume_drift") for name in (model, reference))
-    displaced = own / where_reached(case, reference, "volume_drift_of_displaced")
-    return (*(where_reached(case, model, measure) for measure in MEASURES), abs((drift - own) / displaced))
+def _with_volume(cases: Sequence[CaseResult], model: str) -> np.ndarray:
+    """(3, cases) errors in displacement, shape and volume, this over the volume that the reference displaces."""
+    (drift,), (own, displaced) = reached(cases, model, [DRIFT]), reached(cases, "", [DRIFT, DISPLACED])
+    return np.vstack([reached(cases, model), np.abs((drift - own) * displaced / own)])
 
 
 def _mean_cell(cells: Sequence[str]) -> str:
@@ -259,49 +269,53 @@ def scenes(name: str, arguments: Sequence[str]) -> None:
     """Every shipped study against elements; README sums up. Arguments are studies, for their rows alone."""
     own = EVIDENCE[name]
     columns: dict[str, str] = own["columns"]
-    rows, ranges = [], {model: [] for model in columns}
+    rows, errors = [], {model: np.zeros(0) for model in columns}
     for study in [study for study in own["studies"] if not arguments or study in arguments]:
-        run = ran(study)
-        rows.append([study, *scene_cells(run.cases, columns)])
-        for model, found in ranges.items():
-            found += [e for e in _displacement_errors(run.cases, model) if np.isfinite(e)]
+        cases = ran(study).cases
+        rows.append([study, *scene_cells(cases, columns)])
+        errors = {model: np.append(found, answered(cases, model)) for model, found in errors.items()}
     head = ["study", "cases", "reference", "its own", "rigid", "least along normals", *columns.values()]
     kept(own["all_rows"], head, rows)
     if arguments:
         return
-    told = []
-    for model, errors in ranges.items():
-        span = f"{as_per_cent(min(errors))} to {as_per_cent(max(errors))} %"
-        within = f"{sum(error <= 0.1 for error in errors)}"
-        told.append([f"`{model}`", f"{len(errors)}", f"{as_per_cent(np.median(errors))} %", span, within])
-    columns_of = ["model", "scenes", "median error", "range", "within 10 %"]
-    show(ROOT / own["document"], own["part"], f"{answer(ranges['vdm-paper'])}\n\n{table(columns_of, told)}")
+    told = [
+        [f"`{model}`", f"{len(e)}", f"{as_per_cent(np.median(e))} %", f"{span(e)} %", f"{(e <= 0.1).sum()}"]
+        for model, e in errors.items()
+    ]
+    head = ["model", "scenes", "median error", "range", "within 10 %"]
+    show(ROOT / own["document"], own["part"], f"{answer(errors['vdm-paper'])}\n\n{table(head, told)}")
 
 
-def answer(errors: Sequence[float]) -> str:
+def answer(errors: np.ndarray) -> str:
     """Should I use VDM? The sentence for the printed form, of its displacement errors in all shipped scenes."""
-    within = sum(error <= 0.1 for error in errors)
-    word = "no" if not within else f"in {within} scenes"
-    span = f"{as_per_cent(min(errors))} to {as_per_cent(max(errors))} %"
+    within = (errors <= 0.1).sum()
+    word = f"in {within} scenes" if within else "no"
     median = f"{as_per_cent(np.median(errors))} % in the median"
-    return f"As printed, {word}: its displacement is {span} off, {median}, in {len(errors)} shipped scenes."
+    told = f"its displacement is {span(errors)} % off, {median}, in {len(errors)} shipped scenes"
+    return f"As printed, {word}: {told}."
 
 
-def _displacement_errors(cases: Sequence[CaseResult], model: str) -> list[float]:
-    return [where_reached(case, model, VECTOR) for case in cases if model in case.models]
+def answered(cases: Sequence[CaseResult], model: str) -> np.ndarray:
+    """A model's displacement errors in the cases that it answers."""
+    (errors,) = reached(cases, model, [VECTOR])
+    return errors[np.isfinite(errors)]
 
 
-def scene_cells(cases: Sequence[CaseResult], models: Mapping[str, str]) -> list[str]:
+def span(errors: np.ndarray) -> str:
+    """From the least to the largest, in per cent."""
+    return " to ".join(dict.fromkeys(as_per_cent(end) for end in (errors.min(), errors.max())))
+
+
+def scene_cells(cases: Sequence[CaseResult], models: Iterable[str]) -> list[str]:
     """Of a study: cases, the reference and its motion, and each model's displacement errors from least to most."""
-    reference = str(cases[0].reference)
-    own = np.mean([reference_bar(case) for case in cases])
-    cells = [str(len(cases)), reference, f"± {as_per_cent(own)}" if np.isfinite(own) else NOTHING]
-    cells += [as_per_cent(means(cases, metric)) for metric in ("rigid_share", "tangential_share")]
-    for model in models:
-        errors = [e for e in _displacement_errors(cases, model) if np.isfinite(e)]
-        least, most = (as_per_cent(f(errors)) if errors else NOTHING for f in (min, max))
-        cells.append(least if least == most else f"{least} to {most}")
-    return cells
+    own = own_error(cases, [VECTOR]).mean()
+    cells = [
+        str(len(cases)),
+        str(cases[0].reference),
+        f"± {as_per_cent(own)}" if np.isfinite(own) else NOTHING,
+    ]
+    errors = [answered(cases, model) for model in models]
+    return [*cells, *motion(cases), *(span(found) if len(found) else NOTHING for found in errors)]
 
 
 # --- docs/evidence/stability.md ---
@@ -429,7 +443,7 @@ def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
     head = ["model", "failed", "median error", "worst", f"within {short_percent(limit)}", "surely"]
     rows = []
     for model in models:
-        errors = np.array([where_reached(case, model, VECTOR) for case in cases])
+        (errors,) = reached(cases, model, [VECTOR])
         bars = np.array([value_bar(case, model, VECTOR) for case in cases])
         within, surely = float(np.mean(errors <= limit)), float(np.mean(errors + bars <= limit))
         there = np.flatnonzero(np.isfinite(errors))

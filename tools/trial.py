@@ -25,8 +25,8 @@ import gmsh
 import numpy as np
 import tomli_w
 
-from tools.documents import ROOT, RUNS, finished, show, table
-from tools.evidence import EVIDENCE, MEASURES, as_per_cent, kept, slashed, study_of
+from tools.documents import ROOT, RUNS, show, table
+from tools.evidence import EVIDENCE, MEASURES, as_per_cent, kept, ran_text, slashed, study_of
 from vdm.constraints import Load
 from vdm.material import Parameters
 from vdm.model import Model
@@ -44,13 +44,13 @@ from vdmbench.models import Prepared
 from vdmbench.models.frames import contact_frame, median_seconds, pressure_everywhere
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
-from vdmbench.store.cases import read_run
 from vdmbench.study.config import Study, load_study
 from vdmbench.study.files import merged
 from vdmbench.verdict.formatting import NOTHING, quantity
 
 OWN = EVIDENCE["parts"]
 FORM = OWN["study"]["study"]["models"][0]
+BODIES = RUNS / "parts" / "bodies"  # files of bodies that no shape of a study is
 COSTS = EVIDENCE["costs"]
 COST_HEAD = [
     "nodes", "form", "parts", "set-up", "memory", "frame, contact", "small strain", "first answer", "frame",
@@ -85,14 +85,11 @@ def _write(path: Path) -> None:
 
 def _run(name: str, text: str) -> list[CaseResult]:
     """Its cases; one whose reference ends on the way is compared where that ended."""
-    directory = RUNS / "parts"
-    directory.mkdir(parents=True, exist_ok=True)
-    for file in ("cup.stl", "fork.stl"):
-        if not (directory / file).exists():
-            _write(directory / file)
-    (directory / f"{name}.toml").write_text(text)
-    finished("run", f"{name}.toml", "--out", name, "--jobs", "1", cwd=directory, codes=(0, 3))
-    return read_run(directory / name).cases
+    BODIES.mkdir(parents=True, exist_ok=True)
+    for file in (BODIES / "cup.stl", BODIES / "fork.stl"):
+        if not file.exists():
+            _write(file)
+    return ran_text(text, f"parts/{name}", codes=(0, 3), files=BODIES.iterdir()).cases
 
 
 def row(body: str, load: str, case: CaseResult, form: str = FORM) -> list[str]:
@@ -122,7 +119,7 @@ def rows(surface: Path | None) -> Iterator[list[str]]:
     if surface is not None:
         text: dict[str, Any] = OWN["liver"] | {"study": {"name": "liver", **OWN["study"]["study"]}}
         text["geometry"] = {**text["geometry"], "path": f"liver{surface.suffix}"}
-        (RUNS / "parts" / f"liver{surface.suffix}").write_bytes(surface.read_bytes())
+        (BODIES / f"liver{surface.suffix}").write_bytes(surface.read_bytes())
         yield from (row("liver, 4 kPa", "weight", case) for case in _run("liver", tomli_w.dumps(text)))
     for case in _run("lumps", tomli_w.dumps(OWN["lumps"])):
         (lump,) = case.study.inclusions or ()

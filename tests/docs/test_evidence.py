@@ -75,7 +75,7 @@ def test_a_scene_tells_the_range_over_its_cases() -> None:
     assert found[:2] == ["2", "fem-linear"]
     assert found[-2:] == ["50 to 75", "–"]
     told = "As printed, no: its displacement is 50 to 75 % off, 62 % in the median, in 2 shipped scenes."
-    assert evidence.answer([0.5, 0.75]) == told
+    assert evidence.answer(np.array([0.5, 0.75])) == told
     (row,) = (row for row in rows_shown(README, "scenes") if row[0] == "`vdm-paper`")
     assert f"{row[3]} off, {row[2]} in the median, in {row[1]} shipped scenes." in shown(README, "scenes")
 
