@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +19,6 @@ from ..measures.pushed import Answer, Pushed
 from ..scene.result import ModelResult
 from ..study.loads import Constraint
 from ..study.schema import Study
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 LEAST_TIMES = 3  # measured times, from which on none within is no chance
 NODAL, FRAME_TIME = max_nodal_error.__name__, "frame_time"
@@ -176,10 +172,13 @@ class UpTo:
 
 @dataclass(frozen=True)
 class KnownLoads:
-    """The steps of all cases that carry a load: its unit; rows of load, depth [m], number of the case, step."""
+    """The K steps of all cases that carry a load: unit, (K,) loads, (K,) depths [m], (K,) cases and steps."""
 
     unit: str
-    rows: DataFrame
+    loads: Array
+    depths: Array
+    cases: NDArray[np.int64]
+    steps: NDArray[np.int64]
 
 
 def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> KnownLoads:
@@ -187,50 +186,43 @@ def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> Kno
 
     They are shares of the full load, "1", where the cases do not tell them in one unit.
     """
-    import pandas as pd
-
-    units, found = set(), []
-    for k, (case, surface) in enumerate(zip(cases, surfaces, strict=True)):
+    units, curves = set(), []
+    for case, surface in zip(cases, surfaces, strict=True):
         every, reference = pushes(case, surface), case.models.get(str(case.reference))
         chosen = [one for one in every if one.constraint.kind == "contact"] or every
         alone = len(chosen) == 1 and reference is not None
         units.add(chosen[0].unit if alone else "1")
-        depths, loads = chosen[0].curve(Answer.of(reference)) if alone and reference else (math.nan, math.nan)
-        sizes = np.abs(case.load_factors)
-        share = sizes / max(sizes.max(), np.finfo(float).tiny)
-        own = {
-            "load": np.abs(loads),
-            "share": share,
-            "depth": depths,
-            "case": k,
-            "step": np.arange(len(sizes)),
-        }
-        found.append(pd.DataFrame(own))
+        nothing = np.full(len(case.load_factors), math.nan)
+        curves.append(chosen[0].curve(Answer.of(reference)) if alone and reference else (nothing, nothing))
     unit = units.pop() if len(units) == 1 else "1"
-    rows = pd.concat(found)
-    rows["load"] = rows["share"] if unit == "1" else rows["load"]
-    return KnownLoads(
-        unit, rows[(rows["share"] > 0.0) & (rows["load"] > 0.0)].sort_values("load", kind="stable")
-    )
+    rows = []
+    for k, (case, (depths, loads)) in enumerate(zip(cases, curves, strict=True)):
+        sizes = np.abs(case.load_factors)
+        told = sizes / max(sizes.max(), np.finfo(float).tiny) if unit == "1" else np.abs(loads)
+        steps = np.flatnonzero((sizes > 0.0) & (told > 0.0) & np.isfinite(told))
+        rows += [(told[step], depths[step], k, step) for step in steps]
+    loads, depths, numbers, steps = np.array(rows or np.zeros((0, 4))).T
+    return KnownLoads(unit, loads, depths, numbers.astype(int), steps.astype(int))
 
 
 def up_to(known: KnownLoads, states: States) -> UpTo | None:
     """Of all steps that carry a load, from the (C, S) states of a model; None where it answers at none."""
-    rows = known.rows.assign(
-        state=states[known.rows["case"], known.rows["step"]], depth=known.rows["depth"].abs()
-    )
-    if (rows["state"] == LOST).all():
+    if (states[known.cases, known.steps] == LOST).all():
         return None
+    order = np.argsort(known.loads, kind="stable")
+    loads, depths = known.loads[order], known.depths[order]
+    states = states[known.cases[order], known.steps[order]]
     # points of one load are one group, of which the worst decides
-    group = (rows["load"].diff() > _SAME * rows["load"]).cumsum()
-    loads = rows.groupby(group).agg(load=("load", "first"), depth=("depth", "min"), state=("state", "max"))
-    within = loads[(loads["state"] == WITHIN).cummin()]
-    last = within.iloc[-1] if len(within) else {"load": math.nan, "depth": math.nan}
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(loads) > _SAME * loads[1:]]))
+    worst = np.maximum.reduceat(states, starts)
+    within = int(np.argmin(np.append(worst, BEYOND) == WITHIN))  # groups before the first that is not
+    last = slice(starts[within - 1], starts[within] if within < len(starts) else None)
+    reached = np.abs(depths[last]) if within else np.zeros(0)
     return UpTo(
-        load=float(last["load"]),
+        load=float(loads[starts[within - 1]]) if within else math.nan,
         unit=known.unit,
-        depth=float(last["depth"]),
-        least=float(loads["load"].iloc[0]),
-        most=float(loads["load"].iloc[-1]),
-        open=len(within) < len(loads) and int(loads["state"].iloc[len(within)]) == OPEN,
+        depth=min((depth for depth in reached.tolist() if math.isfinite(depth)), default=math.nan),
+        least=float(loads[0]),
+        most=float(loads[starts[-1]]),
+        open=within < len(starts) and int(worst[within]) == OPEN,
     )

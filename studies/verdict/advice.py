@@ -104,12 +104,9 @@ class Shortfall:
     @cached_property
     def load(self) -> dict[str, Any]:
         """The load of the small step and its unit."""
-        rows = self.digest.known_loads.rows
-        found = rows["load"][(rows["case"] == self.place) & (rows["step"] == (self.small_step or 0))]
-        return {
-            "load": float(found.iloc[0]) if len(found) else math.nan,
-            "unit": self.digest.known_loads.unit,
-        }
+        known = self.digest.known_loads
+        found = known.loads[(known.cases == self.place) & (known.steps == (self.small_step or 0))]
+        return {"load": float(found[0]) if len(found) else math.nan, "unit": known.unit}
 
 
 # --- the causes ---
