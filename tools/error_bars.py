@@ -139,13 +139,13 @@ def document(rows: Sequence[Mapping[str, Any]]) -> str:
     ) + table(["number", "bars that hold", "used at most"], by_metric)
 
 
-def main(name: str, arguments: Sequence[str]) -> None:
+def error_bars(arguments: Sequence[str]) -> None:
     """Solve the cases of the studies named, by default of all, and write what came out; rows of others stay."""
-    own: dict[str, list[int]] = EVIDENCE[name]["cases"]
+    own: dict[str, list[int]] = EVIDENCE["error_bars"]["cases"]
     kept = json.loads(FOUND.read_text())
     found = {study: [row for row in kept if row["study"] == study] for study in own}
     for study in arguments or own:
         found[study] = [tried(study, number) for number in own[study]]
         rows = [row for one in found.values() for row in one]
         FOUND.write_text("[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n")
-        (ROOT / EVIDENCE[name]["document"]).write_text(document(rows))
+        (ROOT / EVIDENCE["error_bars"]["document"]).write_text(document(rows))

@@ -14,10 +14,11 @@ import sys
 import tempfile
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -126,12 +127,15 @@ def mean_and_worst(errors: np.ndarray, bars: np.ndarray | float = 0.0) -> str:
     return f"{' / '.join(shown)} ({slashed(errors.max(axis=1))})"
 
 
-def kept(path: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """All rows of a table in its CSV file, those of bodies that were not measured anew too."""
+def kept(path: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[list[str]]:
+    """All rows of a table in its CSV file, in their order, those of bodies that were not measured anew too."""
     place = ROOT / path
     _, *old = csv.reader(place.read_text(encoding="utf-8").splitlines()) if place.exists() else [head]
-    anew = {row[0] for row in rows}
-    found = [*map(list, rows), *(row for row in old if row[0] not in anew)]
+    anew: dict[str, list[list[str]]] = {}
+    for row in rows:
+        anew.setdefault(row[0], []).append(list(row))
+    bodies = dict.fromkeys([*(row[0] for row in old), *anew])
+    found = [row for body in bodies for row in anew.get(body) or (one for one in old if one[0] == body)]
     with place.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([head, *found])
     return found
@@ -140,28 +144,22 @@ def kept(path: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[
 # --- docs/evidence/accuracy.md ---
 
 
-def accuracy(name: str, arguments: Sequence[str]) -> None:
-    """Six patches on each body; a surface may be named, which goes through `accuracy-organ`; its rows stay else."""
-    own = EVIDENCE[name]
-    rows = [accuracy_row(row) for row in own["rows"]]
+def accuracy(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """Six patches on each body, and on surfaces that are named, which go through `accuracy-organ`."""
+    for row in EVIDENCE["accuracy"]["rows"]:
+        yield accuracy_row(row)
     for surface in (Path(argument).resolve() for argument in arguments):
-        rows += [accuracy_row({"body": surface.stem, "moved": m}, surface=surface) for m in (False, True)]
-    rows = kept(own["all_rows"], accuracy_head(), rows)
-    show(ROOT / own["document"], own["part"], table(*accuracy_shown(rows)))
+        for moved in (False, True):
+            yield accuracy_row({"body": surface.stem, "moved": moved}, surface=surface)
 
 
-def accuracy_shown(rows: Sequence[Sequence[str]]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the page: means of the two errors of pressed patches, without worst and consistent form."""
-    columns = [k for k, title in enumerate(accuracy_head()) if title not in ("nodes", "loads", "consistent")]
+def accuracy_page(rows: Sequence[Sequence[str]]) -> str:
+    """The means of the two errors of pressed patches, without worst and consistent form."""
+    head = EVIDENCE["accuracy"]["head"]
+    columns = [k for k, title in enumerate(head) if title not in ("nodes", "loads", "consistent")]
     pressed = [row for row in rows if not row[0].endswith(", moved")]
     cells = [[" / ".join(row[k].partition(" (")[0].split(" / ")[:2]) for k in columns] for row in pressed]
-    return [accuracy_head()[k] for k in columns], cells
-
-
-def accuracy_head() -> list[str]:
-    """What stands above the columns."""
-    names = EVIDENCE["accuracy"]["columns"].values()
-    return ["body", "nodes", "loads", "rigid", "reference's own", "least along normals", *names]
+    return table([head[k] for k in columns], cells)
 
 
 def accuracy_row(row: Mapping[str, Any], *, surface: Path | None = None) -> list[str]:
@@ -173,7 +171,7 @@ def accuracy_row(row: Mapping[str, Any], *, surface: Path | None = None) -> list
     rigid, along_normals = motion(cases)
     own = slashed(own_error(cases).mean(axis=1))
     cells = [str(len(cases[0].points)), str(len(cases)), rigid, own, along_normals]
-    for model in EVIDENCE["accuracy"]["columns"]:
+    for model in EVIDENCE["accuracy"]["models"]:
         metrics = (*MEASURES, NORMAL) if model in ALONG_NORMALS else MEASURES
         cells.append(mean_and_worst(reached(cases, model, metrics), own_error(cases, metrics)))
     return [row["body"] + words, *cells]
@@ -201,27 +199,21 @@ def accuracy_changes(study: str, row: Mapping[str, Any]) -> tuple[dict[str, Any]
     return found, words
 
 
-def ratios(name: str, arguments: Sequence[str]) -> None:
+def ratios(arguments: Sequence[str]) -> Iterator[list[str]]:
     """The accuracy studies at every Poisson's ratio, with the tissue and with VDM's fluid inside `bem`."""
-    own = EVIDENCE[name]
-    rows = []
-    for study in own["studies"]:
-        rows += ratio_rows(study.removeprefix("accuracy-"), study)
+    for study in EVIDENCE["ratios"]["studies"]:
+        yield from ratio_rows(study.removeprefix("accuracy-"), study)
     for surface in (Path(argument).resolve() for argument in arguments):
-        rows += ratio_rows(surface.stem, "accuracy-organ", surface=surface)
-    elements = EVIDENCE["accuracy"]["columns"]["fem-linear"]
-    head = ["body", "nu", "reference's own", "its volume", "bem, tissue", "bem, fluid", elements]
-    rows = kept(own["all_rows"], head, rows)
-    show(ROOT / own["document"], own["part"], table(head[1:], over_bodies(rows)))
+        yield from ratio_rows(surface.stem, "accuracy-organ", surface=surface)
 
 
-def over_bodies(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+def ratios_page(rows: Sequence[Sequence[str]]) -> str:
     """A row a ratio: the mean of what the rows of all bodies show, of what is in brackets the largest."""
-    ratios = list(dict.fromkeys(row[1] for row in rows))
-    own = [[row[2:] for row in rows if row[1] == ratio] for ratio in ratios]
-    return [
-        [ratio, *map(_mean_cell, zip(*found, strict=True))] for ratio, found in zip(ratios, own, strict=True)
-    ]
+    found: dict[str, list[Sequence[str]]] = {}
+    for _, ratio, *cells in rows:
+        found.setdefault(ratio, []).append(cells)
+    means = [[ratio, *map(_mean_cell, zip(*own, strict=True))] for ratio, own in found.items()]
+    return table(EVIDENCE["ratios"]["head"][1:], means)
 
 
 def ratio_rows(body: str, study: str, *, surface: Path | None = None) -> Iterator[list[str]]:
@@ -265,17 +257,15 @@ def _mean_cell(cells: Sequence[str]) -> str:
     return f"{first} ({slashed(np.max([parts[1] for parts in shown], axis=0) / 100.0)})"
 
 
-def scenes(name: str, arguments: Sequence[str]) -> None:
+def scenes(arguments: Sequence[str]) -> None:
     """Every shipped study against elements; README sums up. Arguments are studies, for their rows alone."""
-    own = EVIDENCE[name]
-    columns: dict[str, str] = own["columns"]
-    rows, errors = [], {model: np.zeros(0) for model in columns}
+    own = EVIDENCE["scenes"]
+    rows, errors = [], {model: np.zeros(0) for model in own["models"]}
     for study in [study for study in own["studies"] if not arguments or study in arguments]:
         cases = ran(study).cases
-        rows.append([study, *scene_cells(cases, columns)])
+        rows.append([study, *scene_cells(cases, errors)])
         errors = {model: np.append(found, answered(cases, model)) for model, found in errors.items()}
-    head = ["study", "cases", "reference", "its own", "rigid", "least along normals", *columns.values()]
-    kept(own["all_rows"], head, rows)
+    kept(own["all_rows"], own["head"], rows)
     if arguments:
         return
     told = [
@@ -321,12 +311,10 @@ def scene_cells(cases: Sequence[CaseResult], models: Iterable[str]) -> list[str]
 # --- docs/evidence/stability.md ---
 
 
-def stability(name: str, _: Sequence[str]) -> None:
+def stability(_: Sequence[str]) -> Iterator[list[str]]:
     """What breaks where as one parameter is raised."""
-    own = EVIDENCE[name]
-    found = [row for study in own["studies"] for row in stability_rows(ran(study, codes=(0, 3)))]
-    head = ["study", "parameter", "range", "stand it all", "break down at"]
-    show(ROOT / own["document"], own["part"], table(head, found))
+    for study in EVIDENCE["stability"]["studies"]:
+        yield from stability_rows(ran(study, codes=(0, 3)))
 
 
 def stability_rows(run: Run) -> list[list[str]]:
@@ -388,9 +376,9 @@ def _beside(right: Sequence[bool], base: int | None) -> list[int]:
 # --- docs/evidence/measured.md ---
 
 
-def measured(name: str, _: Sequence[str]) -> None:
+def measured(_: Sequence[str]) -> None:
     """The phantoms against their measurement."""
-    own = EVIDENCE[name]
+    own = EVIDENCE["measured"]
     for study in own["studies"]:
         models = tomllib.loads((CASES / f"{study}.toml").read_text())["study"]["models"]
         models += [model for model in own["beside"] if split(model)[0] in all_models()]
@@ -417,9 +405,9 @@ def measured_table(run: Run) -> str:
 # --- docs/evidence/league.md ---
 
 
-def league(name: str, _: Sequence[str]) -> None:
+def league(_: Sequence[str]) -> None:
     """Models and engines on the same bodies under the same loads, the best first."""
-    own = EVIDENCE[name]
+    own = EVIDENCE["league"]
     here = [model for model in own["models"] if split(model)[0] in all_models()]
     cases: list[CaseResult] = []
     for body, load in ((body, load) for body in own["bodies"] for load in own["loads"]):
@@ -467,16 +455,16 @@ def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
 # --- docs/evidence/performance.md ---
 
 
-def performance(name: str, arguments: Sequence[str]) -> None:
+def performance(arguments: Sequence[str]) -> None:
     """The finest meshes of `vdmbench bench`, whose runs stay in results/runs/bench."""
     from vdmbench.bench import rows as bench_rows
 
-    own, there = EVIDENCE[name], RUNS / "bench"
+    own, there = EVIDENCE["performance"], RUNS / "bench"
     surface = ["--surface", Path(arguments[0]).absolute()] if arguments else []
     told = json.loads(finished("bench", *surface, "--out", there, "--json", OPENBLAS_NUM_THREADS="1"))
     runs = [read_run(Path(report).parent) for report in told["reports"]]
     found = [row for run in runs for row in bench_rows(dataclasses.replace(run, cases=[_finest(run)]))]
-    head = ["body", "nodes", "model", "set-up", "frame, all nodes", "frame, contact", "memory", "error"]
+    head = own["head"]
     rows = [[row[key].partition(" [")[0] for key in head] for row in found if row["model"] in own["models"]]
     kept(own["all_rows"], head, rows)
     machine = f"{_finest(runs[0]).provenance['processor']}, one thread; medians of rounds"
@@ -493,22 +481,21 @@ def _finest(run: Run) -> CaseResult:
 STORED = ROOT / "results" / "calibrations"
 
 
-def calibrations(name: str, _: Sequence[str]) -> None:
+def calibrations(_: Sequence[str]) -> Iterator[list[str]]:
     """Every shipped body calibrated, each fit tried on all others; the values to paste, and all figures as JSON."""
-    own, found = EVIDENCE[name], {}
+    own, found = EVIDENCE["calibrations"], {}
     for study in own["studies"]:
         others = [word for other in own["studies"] if other != study for word in ("--transfer", other)]
         found[study] = json.loads(finished("calibrate", study, *others, "--json"))[study]
         for suffix in ("toml", "json"):
             shutil.copy(RUNS / study / f"calibration.{suffix}", STORED / f"{study}.{suffix}")
-    show(ROOT / own["document"], own["part"], calibrations_table(found))
+    return calibration_rows(found)
 
 
-def calibrations_table(found: Mapping[str, Mapping[str, Any]]) -> str:
+def calibration_rows(found: Mapping[str, Mapping[str, Any]]) -> Iterator[list[str]]:
     """A line for each model and body: study -> model -> its calibration as `vdmbench calibrate --json` has it."""
     from vdmbench.calibrate import Errors, bars_in_percent, in_percent
 
-    rows = []
     for model in EVIDENCE["calibrations"]["models"]:
         for study, entries in found.items():
             fit, transfer = entries[model]["fit"], entries[model]["transfer"]
@@ -517,19 +504,15 @@ def calibrations_table(found: Mapping[str, Mapping[str, Any]]) -> str:
             multiples = ", ".join(f"{value:.2g}" for value in fit["multiples"].values())
             cells = [model, study.removeprefix("calibrate-"), multiples, in_percent(by_rule)]
             cells += [in_percent(held_out), bars_in_percent(held_out)]
-            rows.append([*cells, f"{percent(min(there))} to {percent(max(there))}"])
-    head = ["model", "body", "times its rule", "by rule", "fitted", "reference's own", "other bodies"]
-    return table(head, rows)
+            yield [*cells, f"{percent(min(there))} to {percent(max(there))}"]
 
 
 # --- docs/methods/measures.md ---
 
 
-def strain(name: str, arguments: Sequence[str]) -> None:
+def strain(arguments: Sequence[str]) -> Iterable[list[str]]:
     """The strain of every shipped study of finite strain on three meshes, of its first case, by linear elements."""
-    own = EVIDENCE[name]
-    head = ["study", "nodes", "strain", "from the finest", "largest of any point, from the finest"]
-    show(ROOT / own["document"], own["part"], table(head, map(strain_row, arguments or finite_studies())))
+    return map(strain_row, arguments or finite_studies())
 
 
 def finite_studies() -> list[str]:
@@ -573,43 +556,54 @@ def strain_on(study: Study, size: float) -> tuple[float, float, float]:
 # --- docs/evidence/claims.md ---
 
 
-def claims(name: str, arguments: Sequence[str]) -> None:
+def claims(arguments: Sequence[str]) -> None:
     """The grid of the paper's claims, measured anew, or of claims that are named by number; a table of each."""
     import pandas as pd
 
     from vdmbench.claims import measure, read_points, write_points
     from vdmbench.machine import cache_directory
 
-    own = EVIDENCE[name]
+    own = EVIDENCE["claims"]
     points = measure(cache_directory(), map(int, arguments), lambda case: print(case, file=sys.stderr))
     if arguments:
         old = read_points(ROOT / own["points"])
         points = pd.concat([old[~old["claim"].isin(map(int, arguments))], points])
         points = points.sort_values("claim", kind="stable", ignore_index=True)
     write_points(points, ROOT / own["points"])
-    show_claims(name)
+    show_claims()
 
 
-def show_claims(name: str = "claims") -> None:
+def show_claims() -> None:
     """The page from what was measured: a line for each claim, then its words and how they are read."""
     from vdmbench.claims import DATA, judge, read_points, table_of_claims, told
 
-    own = EVIDENCE[name]
+    own = EVIDENCE["claims"]
     lines = table_of_claims(judge(read_points(ROOT / own["points"])))
     show(ROOT / own["document"], own["part"], table(list(lines[0]), [list(line.values()) for line in lines]))
     words = (" ".join(told(number)[:2]).replace("<", "&lt;") for number in range(1, len(DATA["claims"]) + 1))
     show(ROOT / own["document"], own["words"], "".join(f"{k}. {text}\n" for k, text in enumerate(words, 1)))
 
 
+def page(name: str, rows: Sequence[Sequence[str]]) -> str:
+    """What a document shows of all rows of a table: the table itself, or what `NAME_page` makes of them."""
+    make = getattr(maker(name), f"{name}_page", None)
+    return make(rows) if make else table(EVIDENCE[name]["head"], rows)
+
+
+def maker(name: str) -> ModuleType:
+    """Where the function of a table's name is."""
+    return importlib.import_module(EVIDENCE[name].get("made_by", "tools.evidence"))
+
+
 def main(arguments: Sequence[str]) -> None:
     """Make the table that is named; further arguments are its own."""
     if not arguments or arguments[0] not in EVIDENCE:
         sys.exit(f"say what: one of {', '.join(EVIDENCE)}")
-    name, *own = arguments
-    made_by = EVIDENCE[name].get("made_by")
-    make: Callable[[str, Sequence[str]], None]
-    make = importlib.import_module(made_by).main if made_by else globals()[name]
-    make(name, own)
+    name, *given = arguments
+    own = EVIDENCE[name]
+    if (rows := getattr(maker(name), name)(given)) is not None:  # else it writes its page itself
+        rows = kept(own["all_rows"], own["head"], rows) if "all_rows" in own else list(rows)
+        show(ROOT / own["document"], own["part"], page(name, rows))
 
 
 if __name__ == "__main__":

@@ -86,10 +86,13 @@ def rewrite(path: Path, text: str) -> None:
         compiled.unlink()
 
 
-def main(name: str, arguments: Sequence[str]) -> None:
+def mutants(arguments: Sequence[str]) -> None:
     """Try the faults of these numbers, by default all, and write what found each; lines of others stay."""
-    document, head = ROOT / EVIDENCE[name]["document"], ("file", "what stands there", "fault", "found by")
-    found = {row[1]: row for row in rows_shown(document, name)}
+    document, head = (
+        ROOT / EVIDENCE["mutants"]["document"],
+        ("file", "what stands there", "fault", "found by"),
+    )
+    found = {row[1]: row for row in rows_shown(document, "mutants")}
     caught = {}
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
@@ -113,6 +116,6 @@ def main(name: str, arguments: Sequence[str]) -> None:
         if broken := first_failure([test for test in caught.values() if test], place):
             sys.exit(f"{broken} fails without a fault: mend it first")
     order = [found[f"`{mutant.old}`"] for mutant in MUTANTS if f"`{mutant.old}`" in found]
-    show(document, name, table(head, order))
+    show(document, "mutants", table(head, order))
     survived = sum(not test for test in caught.values())
     sys.exit(f"{survived} survive" if survived else 0)

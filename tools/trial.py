@@ -10,10 +10,8 @@ import math
 import resource
 import signal
 import sys
-import tempfile
 import time
-import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
@@ -25,8 +23,8 @@ import gmsh
 import numpy as np
 import tomli_w
 
-from tools.documents import ROOT, RUNS, show, table
-from tools.evidence import EVIDENCE, MEASURES, as_per_cent, kept, ran_text, slashed, study_of
+from tools.documents import RUNS, table
+from tools.evidence import EVIDENCE, MEASURES, as_per_cent, ran_text, slashed, study_of
 from vdm.constraints import Load
 from vdm.material import Parameters
 from vdm.model import Model
@@ -44,7 +42,7 @@ from vdmbench.models import Prepared
 from vdmbench.models.frames import contact_frame, median_seconds, pressure_everywhere
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import build_scene
-from vdmbench.study.config import Study, load_study
+from vdmbench.study.config import Study
 from vdmbench.study.files import merged
 from vdmbench.verdict.formatting import NOTHING, quantity
 
@@ -52,12 +50,6 @@ OWN = EVIDENCE["parts"]
 FORM = OWN["study"]["study"]["models"][0]
 BODIES = RUNS / "parts" / "bodies"  # files of bodies that no shape of a study is
 COSTS = EVIDENCE["costs"]
-COST_HEAD = [
-    "nodes", "form", "parts", "set-up", "memory", "frame, contact", "small strain", "first answer", "frame",
-    "large rotation", "all",
-]  # fmt: skip
-FRAMES_HEAD = ["load", "nodes", "parts", "moves", "corrections", "frame", "shortest", "longest"]
-HEAD = ["body", "load", "nodes", "moves", "parts", "error", "±", "told"]
 
 
 def _write(path: Path) -> None:
@@ -108,15 +100,15 @@ def row(body: str, load: str, case: CaseResult, form: str = FORM) -> list[str]:
     ]  # fmt: skip
 
 
-def rows(surface: Path | None) -> Iterator[list[str]]:
-    """All lines that are measured anew."""
+def parts(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """All lines that are measured anew, of a surface that is named too."""
     for body in OWN["bodies"]:
         for load in OWN["loads"]:
             if not (load == "weight" and body == "bladder"):
                 name = f"{body}-{load}"
                 (case,) = _run(name, study_of(OWN, body, load, name=name))
                 yield row(body, load, case)
-    if surface is not None:
+    for surface in map(Path, arguments):
         text: dict[str, Any] = OWN["liver"] | {"study": {"name": "liver", **OWN["study"]["study"]}}
         text["geometry"] = {**text["geometry"], "path": f"liver{surface.suffix}"}
         (BODIES / f"liver{surface.suffix}").write_bytes(surface.read_bytes())
@@ -127,12 +119,12 @@ def rows(surface: Path | None) -> Iterator[list[str]]:
         yield row(f"lump, {ratio:g} times as stiff", "contact", case, "bem")
 
 
-def summed_up(lines: Sequence[Sequence[str]]) -> str:
-    """What the table comes to."""
+def parts_page(lines: Sequence[Sequence[str]]) -> str:
+    """The table, and what it comes to."""
     off = [line for line in lines if not max(map(float, line[5].split(" / "))) < 100 * OWN["limit"]]
     silent = sum(line[-1] == "nothing" for line in off)
-    return (
-        f"{len(lines) - len(off)} of {len(lines)} are within {100 * OWN['limit']:.0f} % in both errors. "
+    return table(OWN["head"], lines) + (
+        f"\n{len(lines) - len(off)} of {len(lines)} are within {100 * OWN['limit']:.0f} % in both errors. "
         f"Of the other {len(off)} the model gives {silent} without a reservation.\n"
     )
 
@@ -141,21 +133,20 @@ def summed_up(lines: Sequence[Sequence[str]]) -> str:
 
 
 class Cost(NamedTuple):
-    """What a form answers and takes on a mesh, in seconds of processor time.
+    """What a form answers on a surface and takes, in seconds of processor time.
 
     `contact` is a frame of the contact by its columns, NaN where there are none; `whole` all of set-up, answers and
     what is told of their errors.
     """
 
-    nodes: int
     surface: Surface
     result: ModelResult
     contact: float
     whole: float
 
 
-def cost(text: str, form: str, level: int) -> Cost:
-    """Of a form, "model" or "model/parts", on a study's mesh split so often; in a process of its own.
+def cost(given: Mapping[str, Any], level: int) -> Cost:
+    """Of a study's only model on its mesh split so often; in a process of its own.
 
     Raises
     ------
@@ -170,9 +161,8 @@ def cost(text: str, form: str, level: int) -> Cost:
     resource.setrlimit(resource.RLIMIT_CPU, (COSTS["seconds"], COSTS["seconds"] + 60))
     resource.setrlimit(resource.RLIMIT_AS, (int(COSTS["bytes"]),) * 2)
     time.perf_counter = time.thread_time  # the clock that models read: others take none of it
-    model, _, parts = form.partition("/")
-    own = {"study": {"models": [model]}, **({"vdm": {"parts": int(parts)}} if parts else {})}
-    study, whole_mesh = body(merged(tomllib.loads(text), own))
+    study, whole_mesh = body(given)
+    (model,) = study.study.models
     hierarchy = refined(whole_mesh, level)
     mesh, scene = hierarchy.meshes[0], level_scene(study, hierarchy)
     start = time.thread_time()
@@ -185,24 +175,21 @@ def cost(text: str, form: str, level: int) -> Cost:
         frame(pressure)
         frame(pressure)  # shortens the columns
         contact = median_seconds(lambda: frame(pressure))
-    return Cost(len(mesh.surface_nodes), Surface(mesh.surface_points, mesh.triangles), result, contact, whole)
+    return Cost(Surface(mesh.surface_points, mesh.triangles), result, contact, whole)
 
 
-def body(given: dict[str, Any]) -> tuple[Study, Mesh]:
+def body(given: Mapping[str, Any]) -> tuple[Study, Mesh]:
     """A study, by its tables, and its mesh."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "costs.toml"
-        path.write_text(tomli_w.dumps(given))
-        study = load_study(path)
+    study = Study.model_validate(given)
     return study, mesh_from_cache(study.geometry, cache_directory())
 
 
-def measured(text: str, form: str, level: int = 0) -> Cost | str:
-    """The cost of a form, or why there is none."""
-    print(form, level, file=sys.stderr)
+def measured(given: Mapping[str, Any], level: int = 0) -> Cost | str:
+    """The cost of a study's only model, or why there is none."""
+    print(*given["study"]["models"], given.get("vdm", ""), level, file=sys.stderr)
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         try:
-            found = pool.submit(cost, text, form, level).result()
+            found = pool.submit(cost, given, level).result()
         except TimeoutError as error:
             return f"{error}"
         except MemoryError:
@@ -213,58 +200,59 @@ def measured(text: str, form: str, level: int = 0) -> Cost | str:
     return found if status.ok else status.message
 
 
-def costs(size: str) -> Iterator[list[str]]:
+def costs_of(size: str) -> Iterator[list[str]]:
     """The lines of one mesh: every form beside `fem-linear` at a thousandth of the load and `fem` at all of it."""
-
-    def text(factors: Sequence[float]) -> str:
-        given = {"geometry": {"mesh_size": size}, "load": {"factors": factors}}
-        return tomli_w.dumps(merged(COSTS["study"], given))
-
     factors = COSTS["factors"]
-    nodes = str(
-        len(body(merged(tomllib.loads(text(factors)), {"study": {"models": ["bem"]}}))[1].surface_nodes)
-    )
+
+    def asked(model: str, factors: Sequence[float], **vdm: int) -> dict[str, Any]:
+        own = {"models": [model]}, {"mesh_size": size}, {"factors": factors}, vdm
+        return merged(COSTS["study"], dict(zip(("study", "geometry", "load", "vdm"), own, strict=True)))
+
+    nodes = str(len(body(asked("bem", factors))[1].surface_nodes))
     references = list[list[Cost]]()
     for model, at in (("fem-linear", factors[:1]), ("fem", factors[:2])):
-        levels = levels_of(text(at), model)
+        levels = levels_of(asked(model, at))
         if isinstance(levels, str):
             yield [nodes, model, NOTHING, levels, *[NOTHING] * 7]
         references.append([] if isinstance(levels, str) else levels)
-    for form in COSTS["forms"]:
-        found = measured(text(factors), form)
-        model, _, parts = form.partition("/")
+    for model, _, parts in (form.partition("/") for form in COSTS["forms"]):
+        found = measured(asked(model, factors, **({"parts": int(parts)} if parts else {})))
         if isinstance(found, str):
             yield [nodes, model, parts or "1", found, *[NOTHING] * 7]
             continue
-        result, surface = found.result, found.surface
+        result = found.result
         errors = [
-            error_of(result.displacement[at], levels, surface, at) for at, levels in enumerate(references)
+            error_of(result.displacement[at], levels, found.surface, at)
+            for at, levels in enumerate(references)
         ]
-        steps = result.seconds_per_step
-        yield [
-            nodes, model, parts or "1", quantity(result.seconds_setup, "s"), quantity(result.peak_bytes, "B"),
-            quantity(found.contact, "s"), errors[0], quantity(steps[1], "s"),
-            quantity(float(np.median(steps[2:])), "s"), errors[1], quantity(found.whole, "s"),
-        ]  # fmt: skip
+        first, *frames = result.seconds_per_step[1:]
+        seconds = (found.contact, first, float(np.median(frames)), found.whole)
+        contact, answer, frame, whole = (quantity(taken, "s") for taken in seconds)
+        about = [quantity(result.seconds_setup, "s"), quantity(result.peak_bytes, "B")]
+        yield [nodes, model, parts or "1", *about, contact, errors[0], answer, frame, errors[1], whole]
 
 
-def write_costs(sizes: Sequence[str]) -> None:
-    """The page's table of costs, with meshes of these sizes measured anew."""
-    lines = [line for size in sizes for line in costs(size)]
-    lines = sorted(kept(COSTS["all_rows"], COST_HEAD, lines), key=lambda line: int(line[0]))
-    show(ROOT / COSTS["document"], COSTS["part"], table(COST_HEAD, lines))
+def costs(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """The lines of all meshes, or of those of the sizes that are named."""
+    for size in arguments or COSTS["sizes"]:
+        yield from costs_of(size)
 
 
-def levels_of(text: str, model: str) -> list[Cost] | str:
+def costs_page(lines: Sequence[Sequence[str]]) -> str:
+    """The coarsest mesh first."""
+    return table(COSTS["head"], sorted(lines, key=lambda line: int(line[0])))
+
+
+def levels_of(given: Mapping[str, Any]) -> list[Cost] | str:
     """A reference on the mesh split once, where eight times the cost is within limits, and on the mesh itself.
 
     Or why there is none.
     """
-    own = measured(text, model)
+    own = measured(given)
     if isinstance(own, str):
         return own
     fits = 8 * own.whole < COSTS["seconds"] and 8 * own.result.peak_bytes < COSTS["bytes"]
-    split = measured(text, model, 1) if fits else ""
+    split = measured(given, 1) if fits else ""
     return [own] if isinstance(split, str) else [split, own]
 
 
@@ -285,7 +273,7 @@ def error_of(u: np.ndarray, levels: Sequence[Cost], surface: Surface, step: int)
 # --- frames ---
 
 
-def frames() -> Iterator[list[str]]:
+def frames(_: Sequence[str]) -> Iterator[list[str]]:
     """A line for each load that moves all of a body in parts: frames from the last state, a hundredth apart.
 
     One after another, without what is told of an answer's errors, which a history asks for after each.
@@ -336,19 +324,3 @@ def frames() -> Iterator[list[str]]:
             f"{corrections:.1f}",
             *(quantity(float(of(taken[own["first"] :])), "s") for of in (np.median, np.min, np.max)),
         ]  # fmt: skip
-
-
-def main(name: str, arguments: Sequence[str]) -> None:
-    """Run all and write the page's table: of the trial, of what parts cost, or of frames."""
-    if name == "frames":
-        own = EVIDENCE[name]
-        show(ROOT / own["document"], own["part"], table(FRAMES_HEAD, list(frames())))
-        return
-    if name == "costs":
-        write_costs(arguments or COSTS["sizes"])
-        return
-    surface = Path(arguments[0]).resolve() if arguments else None
-    lines = kept(OWN["all_rows"], HEAD, list(rows(surface)))
-    document = ROOT / OWN["document"]
-    show(document, OWN["part"], table(HEAD, lines))
-    show(document, f"{OWN['part']}-sum", summed_up(lines))

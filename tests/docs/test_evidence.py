@@ -91,14 +91,11 @@ def test_what_is_used_of_a_bar_by_hand_and_that_the_bars_hold() -> None:
 
 
 def test_what_is_shown_is_made_of_all_rows() -> None:
-    def there(name: str) -> list[list[str]]:
-        return rows_shown(ROOT / EVIDENCE[name]["document"], EVIDENCE[name]["part"])
-
-    assert evidence.over_bodies(all_rows("ratios")) == there("ratios")
-    assert evidence.accuracy_shown(all_rows("accuracy"))[1] == there("accuracy")
-    assert all_rows("parts") == there("parts")
-    assert trial.summed_up(all_rows("parts")) == shown(ROOT / EVIDENCE["parts"]["document"], "trial-sum")
-    assert there("performance")[-1] == next(
+    for name in ("accuracy", "ratios", "parts", "costs"):
+        own = EVIDENCE[name]
+        assert evidence.page(name, all_rows(name)) == shown(ROOT / own["document"], own["part"])
+    own = EVIDENCE["performance"]
+    assert rows_shown(ROOT / own["document"], own["part"])[-1] == next(
         r[2:] for r in reversed(all_rows("performance")) if r[0] == "accuracy-organ"
     )
 
@@ -106,13 +103,15 @@ def test_what_is_shown_is_made_of_all_rows() -> None:
 def test_rows_of_what_was_not_measured_anew_stay(tmp_path: Path) -> None:
     place = tmp_path / "rows.csv"
     assert evidence.kept(str(place), ["body", "x"], [["a", "1"], ["b", "2"]]) == [["a", "1"], ["b", "2"]]
-    assert evidence.kept(str(place), ["body", "x"], [["b", "3"]]) == [["b", "3"], ["a", "1"]]
+    assert evidence.kept(str(place), ["body", "x"], [["a", "3"]]) == [["a", "3"], ["b", "2"]]
 
 
 def test_a_reference_that_fails_is_a_line_of_the_costs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trial, "measured", lambda *asked: f"{asked[1]} takes more than 12 GB")
-    lines = list(trial.costs("20 mm"))
-    assert {len(line) for line in lines} == {len(trial.COST_HEAD)}
+    monkeypatch.setattr(
+        trial, "measured", lambda given: f"{given['study']['models'][0]} takes more than 12 GB"
+    )
+    lines = list(trial.costs(["20 mm"]))
+    assert {len(line) for line in lines} == {len(trial.COSTS["head"])}
     assert [line[3] for line in lines[:2]] == [
         f"{name} takes more than 12 GB" for name in ("fem-linear", "fem")
     ]

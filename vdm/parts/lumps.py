@@ -176,10 +176,6 @@ class LumpyFormulation(BoundaryFormulation):
         return np.asarray(self._weight @ fitted)
 
 
-def _ratio(ratio: float) -> float:
-    return 0.5 if ratio > INCOMPRESSIBLE else ratio
-
-
 def _rigid(points: Array) -> Array:
     """(3n, 6) orthonormal rigid motions of points (n, 3)."""
     arms = points - points.mean(axis=0)
