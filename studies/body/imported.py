@@ -82,7 +82,7 @@ def named(geometry: FileBody) -> Iterator[None]:
         yield
     except MeshError as error:
         told = str(error).removeprefix(f"{geometry.path.name}: ")  # as of one whose bytes cannot be read
-        raise MeshError(f"{geometry.path.name}: {told}", error.key) from error
+        raise MeshError(f"{geometry.path.name}: {told}", *error.place) from error
 
 
 def centred(points: Array, size: float) -> Array:

@@ -259,7 +259,8 @@ def how_to_reproduce(digest: Digest) -> Section:
     """The commands, the study as it was written, and what it was run with."""
     plan, name = digest.run.plan, digest.run.study.study.name
     words = plan.get("command") or ["run", name]
-    commands = [words, ["report", str(plan.get("directory", f"results/runs/{name}"))]]
+    directory = words[words.index("--out") + 1] if "--out" in words else f"results/runs/{name}"
+    commands = [words, ["report", directory]]
     blocks: list[Block] = [
         note("reproduce", kind="plain"),
         Code("\n".join(shlex.join(["vdmbench", *words]) for words in commands)),

@@ -13,10 +13,8 @@ from solver_common.closed_surfaces import solid_angles
 from ..body.mesh import Mesh
 from ..body.surface_measures import pieces
 from ..body.topology import OUTWARD_FACES
-from ..study.errors import MeshError
 from ..study.schema import Inclusion, Study, Tissue
-from .placed import SceneError
-from .regions import holds, in_group
+from .regions import SceneError, holds, in_group
 
 _PLACES = 24  # along each axis, of which the deepest is told
 
@@ -50,7 +48,7 @@ def place_inclusions(
         return on_mesh(study.inclusions, mesh, known)
     for k, part in enumerate(study.inclusions):
         if (told := _outside(part, mesh)) and not holds(part, mesh, mesh.surface_points).any():
-            raise SceneError(f"inclusion {part.name!r}: {told}", ("inclusions", k))
+            raise SceneError(f"inclusion {part.name!r}: {told}", "inclusions", k)
     return ()
 
 
@@ -59,8 +57,7 @@ def on_mesh(
 ) -> tuple[PlacedInclusion, ...]:
     """The same on a mesh with tetrahedra."""
     inside = [
-        known[part.name] if known else _inside(part, mesh, ("inclusions", k))
-        for k, part in enumerate(declared)
+        known[part.name] if known else _inside(part, mesh, "inclusions", k) for k, part in enumerate(declared)
     ]
     for k, part in enumerate(declared):
         elsewhere = "" if inside[k].any() else _outside(part, mesh)
@@ -70,7 +67,7 @@ def on_mesh(
         if not inside[k].any():
             remedy = elsewhere or "enlarge it or take a smaller mesh_size"
             raise SceneError(
-                f"inclusion {part.name!r} has no tetrahedron of its own; {remedy}", ("inclusions", k)
+                f"inclusion {part.name!r} has no tetrahedron of its own; {remedy}", "inclusions", k
             )
     return tuple(PlacedInclusion(part, mask) for part, mask in zip(declared, inside, strict=True))
 
@@ -121,10 +118,11 @@ def interfaces(mesh: Mesh, inclusions: Sequence[PlacedInclusion]) -> tuple[Index
         raise SceneError(
             f"inclusion {inclusions[label[piece]].declared.name!r} reaches the surface of the body, which a model "
             "of surfaces has no answer for; move it inside, take a smaller mesh_size, or use finite elements",
-            ("inclusions", int(label[piece])),
+            "inclusions",
+            int(label[piece]),
         )
     if len(outside) > 1:
-        raise SceneError("the inclusions cut the body in two; use finite elements")
+        raise SceneError("the inclusions cut the body in two; use finite elements", "inclusions")
     regions = np.concatenate([outside, np.setdiff1d(np.unique(lowest), outside)])
     region = np.empty(len(label), np.int64)
     region[regions] = np.arange(len(regions))
@@ -140,7 +138,7 @@ def interfaces(mesh: Mesh, inclusions: Sequence[PlacedInclusion]) -> tuple[Index
         raise SceneError(
             f"inclusions touch each other{f' ({names})' if names else ''}, which a model of surfaces has no answer "
             "for; leave room between them, or use finite elements",
-            ("inclusions",),
+            "inclusions",
         )
     return faces[first[~alike]], sides, label[regions[1:]]
 
@@ -163,10 +161,7 @@ def _outside(part: Inclusion, mesh: Mesh) -> str:
     )
 
 
-def _inside(inclusion: Inclusion, mesh: Mesh, place: tuple[str, int]) -> Mask:
+def _inside(inclusion: Inclusion, mesh: Mesh, *place: str | int) -> Mask:
     """(m,) tetrahedra of an inclusion, whatever others take."""
     found = holds(inclusion, mesh, mesh.points[mesh.tetrahedra].mean(axis=1))
-    try:
-        return found & in_group(inclusion.group, mesh.volumes) if inclusion.group is not None else found
-    except MeshError as error:
-        raise SceneError(str(error), place) from None
+    return found & in_group(inclusion.group, mesh.volumes, *place) if inclusion.group is not None else found

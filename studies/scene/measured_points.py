@@ -54,14 +54,14 @@ def _placed(table: Measured, number: int, mesh: Mesh) -> Placed:
         raise SceneError(
             f"{table.name!r} has {len(points):,} points, the mesh {len(mesh.surface_points):,} surface nodes; "
             "take a smaller mesh_size or fewer points",
-            place,
+            *place,
         )
     if table.surface:
         own = float(np.ptp(np.array(table.surface), axis=0).max())
         body = float(np.ptp(mesh.surface_points, axis=0).max())
         if not body / _UNITS <= own <= body * _UNITS:
             text = f"surface {table.name!r} is {own:.3g} m across, the body {body:.3g} m: a mixed-up unit?"
-            raise SceneError(text, place)
+            raise SceneError(text, *place)
     if not len(points):
         return Placed(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros(0))
     distance, facet, weights = nearest_on_surface(points, mesh.surface_points, mesh.triangles)
@@ -72,7 +72,7 @@ def _placed(table: Measured, number: int, mesh: Mesh) -> Placed:
         raise SceneError(
             f"{_named(table.points[worst], worst)} of {table.name!r} is {distance[worst]:.3g} m off the body, more "
             f"than {MOST_OFF:g} of the mesh's edges ({edge:.3g} m): another origin? {body_extent(mesh)}",
-            place,
+            *place,
         )
     return Placed(facet, weights, distance)
 

@@ -12,28 +12,17 @@ from solver_common.quadrature import facet_quadrature
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import facet_area_vectors
-from ..study.errors import InputError, Loc
+from ..study.errors import Loc
 from ..study.loads import PROFILES, Constraint
 from ..study.loads import Indenter as IndenterTable
 from ..study.schema import Region
-from .regions import profile_coordinate, profile_slope
+from .regions import SceneError, profile_coordinate, profile_slope
 
 if TYPE_CHECKING:
     from fem_reference.indenter import Indenter
 
 
 _LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: below it is rounding or chance
-
-
-class SceneError(InputError):
-    """A scene that cannot be put on its mesh; the message says which part and what to change.
-
-    `place` is that part in the study, as ("constraints", 1) or ("regions", "base").
-    """
-
-    def __init__(self, text: str, place: Loc = ("constraints",)) -> None:
-        super().__init__(text)
-        self.place = place
 
 
 @dataclass(frozen=True)
@@ -110,7 +99,7 @@ class PlacedConstraint:
         return on_facets(profile, self.region, self.mesh, (barycentric, weights))
 
     def _error(self, text: str) -> SceneError:
-        return SceneError(f"{self.constraint.kind} {self.constraint.name!r} {text}", self.place)
+        return SceneError(f"{self.constraint.kind} {self.constraint.name!r} {text}", *self.place)
 
 
 # --- A rigid indenter on its mesh: where its tip first touches ---
@@ -145,7 +134,7 @@ def place_indenter(facets: Mask, pushed: IndenterTable, mesh: Mesh, place: Loc) 
     direction = -vectors.sum(axis=0) if pushed.push is None else np.array(pushed.push)
     if np.linalg.norm(direction) < _LEAST * areas.sum():
         raise SceneError(
-            "the region of the indenter faces every way; give push, or a region on one side", place
+            "the region of the indenter faces every way; give push, or a region on one side", *place
         )
     middle = areas @ mesh.surface_points[triangles].mean(axis=1) / areas.sum()
     try:
@@ -157,10 +146,10 @@ def place_indenter(facets: Mask, pushed: IndenterTable, mesh: Mesh, place: Loc) 
         there = Indenter(shape, middle, direction)
         gap = there.gap(mesh.surface_points[np.unique(triangles)]).min()
         if not np.isfinite(gap):
-            raise SceneError("the indenter passes by all nodes of its region; take a finer mesh", place)
+            raise SceneError("the indenter passes by all nodes of its region; take a finer mesh", *place)
         return PlacedIndenter(Indenter(shape, middle + gap * there.axis, direction), facets, pushed.depth)
     except SolverError as error:
-        raise SceneError(f"{error.status.message}; {error.status.remedy}", place) from None
+        raise SceneError(f"{error.status.message}; {error.status.remedy}", *place) from None
 
 
 # --- Smooth contact profiles on flat facets: integrated, so that their resultant belongs to no mesh ---

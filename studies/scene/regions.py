@@ -9,11 +9,15 @@ import numpy as np
 from solver_common.arrays import Array, Mask
 
 from ..body.mesh import Mesh
-from ..study.errors import MeshError
+from ..study.errors import InputError
 from ..study.schema import Ball, Cap, HalfSpace, Places, Region
 
 AXES = {"x": 0, "y": 1, "z": 2}
 _TOLERANCE = 1e-9  # of the body's size: nodes on the border of a region belong to it
+
+
+class SceneError(InputError):
+    """A scene that cannot be put on its mesh; the message says which part and what to change."""
 
 
 def select(region: Region, mesh: Mesh) -> Mask:
@@ -21,7 +25,7 @@ def select(region: Region, mesh: Mesh) -> Mask:
 
     Raises
     ------
-    MeshError
+    SceneError
         the mesh has no group of the wanted name.
     """
     found = holds(region, mesh, mesh.surface_points)
@@ -47,10 +51,11 @@ def holds(part: Places, mesh: Mesh, points: Array) -> Mask:
     return found
 
 
-def in_group(name: str, groups: Mapping[str, Mask]) -> Mask:
-    """What is in a named group of a mesh file. Raises MeshError where there is none."""
+def in_group(name: str, groups: Mapping[str, Mask], *place: str | int) -> Mask:
+    """What is in a named group of a mesh file, for what is at a place of the study. Raises SceneError."""
     if name not in groups:
-        raise MeshError(f"the mesh has no group {name!r}; it has: {', '.join(sorted(groups)) or 'none'}")
+        known = ", ".join(sorted(groups)) or "none"
+        raise SceneError(f"the mesh has no group {name!r}; it has: {known}", *place)
     return groups[name]
 
 

@@ -17,7 +17,7 @@ from ..study.loads import Acts, Springs
 from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
 from .placed import PlacedConstraint, PlacedIndenter, place_indenter
-from .placed import SceneError as SceneError
+from .regions import SceneError as SceneError
 from .regions import body_extent, select
 
 
@@ -209,7 +209,7 @@ def build_scene(
         place, name = ("constraints", number), constraint.region
         if not masks[name].any():
             told = f"region {name!r} selects no node of the mesh; enlarge it or take a smaller mesh_size"
-            raise SceneError(f"{told}; {body_extent(mesh)}", ("regions", name))
+            raise SceneError(f"{told}; {body_extent(mesh)}", "regions", name)
         on = PlacedConstraint(constraint, place, regions[name], mesh, masks[name])
         acting.append((on, constraint.act(on)))
     fixed, constrained, prescribed = _held(acting, len(mesh.surface_nodes))
@@ -252,7 +252,7 @@ def _held(acting: list[tuple[PlacedConstraint, Acts]], n_nodes: int) -> tuple[Ma
         if both.any():
             raise SceneError(
                 f"{on.constraint.name!r} moves {both.sum()} nodes that another constraint moves differently",
-                on.place,
+                *on.place,
             )
         constrained |= on.nodes
         prescribed[on.nodes] = moved[on.nodes]
@@ -275,5 +275,5 @@ def _check_apart(
             covered = int((mask & (fixed | constrained)).sum())
             told = f"covers {covered} nodes that are fixed or constrained"
         if covered:
-            place = ("constraints", number)
-            raise SceneError(f"{part.kind} {part.name!r} {told}; keep the regions apart", place)
+            told = f"{part.kind} {part.name!r} {told}; keep the regions apart"
+            raise SceneError(told, "constraints", number)

@@ -151,7 +151,7 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
         if sizes and geometry.mesh_size is not None:
             check_mesh_size(geometry.mesh_size, min(sizes))
     except MeshError as error:
-        yield ("geometry", error.key), str(error)
+        yield ("geometry", *error.place), str(error)
 
 
 def _sizes(geometry: Geometry) -> tuple[float, ...]:

@@ -131,8 +131,8 @@ def geometry_error(study: Study, error: MeshError) -> StudyError:
     """The error of a study whose geometry turned out to be unusable, with the place in its file."""
     data = study.model_dump()
     swept = {axis.key: axis.loc for axis in read_axes(data)[0]}
-    key = error.key or ("path" if study.geometry.shape == "file" else "shape")
-    loc = swept.get(f"geometry.{key}", ("geometry", key))
+    place = error.place or ("path" if study.geometry.shape == "file" else "shape",)
+    loc = swept.get(".".join(map(str, ("geometry", *place))), ("geometry", *place))
     return study._source.error([(loc, str(error))], data)
 
 

@@ -14,15 +14,18 @@ from .units import shown
 
 
 class InputError(ValueError):
-    """What the user gave cannot be used; the message says what is wrong and what to do."""
+    """What the user gave cannot be used; the message says what is wrong and what to do.
+
+    `place` leads to it, in a study or in the part of it that was read; () where that is not known.
+    """
+
+    def __init__(self, text: str, *place: str | int) -> None:
+        super().__init__(text)
+        self.place: Loc = place
 
 
 class MeshError(InputError):
-    """A geometry that cannot be used; `key` is what its [geometry] has to change, where that is known."""
-
-    def __init__(self, text: str, key: str = "") -> None:
-        super().__init__(text)
-        self.key = key
+    """A geometry that cannot be used; its place is the key of [geometry] that has to change."""
 
 
 # --- What the machine lacks ---

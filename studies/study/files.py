@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -118,16 +118,6 @@ def without_folders(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [without_folders(item) for item in value]
     return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
-
-
-def told_directory(directory: Path, command: Sequence[str]) -> str:
-    """A run directory as its results name it: from the last name of --out on, else from `results` on."""
-    given = command[command.index("--out") + 1] if "--out" in command else "runs"
-    parts = directory.parts
-    if given not in parts:
-        return directory.name
-    own = parts[len(parts) - 1 - parts[::-1].index(given) :]
-    return str(Path(*own) if "--out" in command else Path("results", *own))
 
 
 def text_without_folders(text: str) -> str:

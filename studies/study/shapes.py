@@ -257,11 +257,11 @@ MAX_NODES = 2_000_000  # of a mesh
 LARGEST_EXTENT = 10.0  # m
 
 
-def check_extent(extent: float, remedy: str, key: str = "") -> None:
-    """Raise MeshError about `key`, ending with `remedy`, for a largest extent [m] that no organ has."""
+def check_extent(extent: float, remedy: str, *key: str) -> None:
+    """Raise MeshError about a key, ending with `remedy`, for a largest extent [m] that no organ has."""
     if not SMALLEST_EXTENT * (1 - 1e-9) <= extent <= LARGEST_EXTENT * (1 + 1e-9):
         raise MeshError(
-            f"the largest extent is {extent:.6g} m, which looks like a mixed-up unit; {remedy}", key
+            f"the largest extent is {extent:.6g} m, which looks like a mixed-up unit; {remedy}", *key
         )
 
 

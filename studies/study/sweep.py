@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import ValidationError
 
 from .checks import validate
-from .errors import MOST_TOLD, Finding, Loc, Source, unknown, value_at
+from .errors import MOST_TOLD, Finding, InputError, Loc, Source, unknown, value_at
 from .fields import NEVER_AN_INPUT, Target, targets
 from .files import without_folders
 from .kinds import Table
@@ -26,14 +26,6 @@ Case = tuple[str, dict[str, Value], dict[str, Any]]
 
 STAR, _HYPERCUBE = "one-at-a-time", "latin-hypercube"
 _BASE = "base"  # label of the case that a star is about
-
-
-class EntryError(ValueError):
-    """What is wrong with an entry of [sweep] or [inputs]; `inside` leads to the place in it."""
-
-    def __init__(self, message: str, *inside: str | int) -> None:
-        super().__init__(message)
-        self.inside = inside
 
 
 @dataclass(frozen=True)
@@ -91,7 +83,7 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     def axis(key: str, loc: Loc, value: Any) -> Axis:
         if key not in known:
             told = unknown(key, list(known), "key", list_all=False)
-            raise EntryError(f"{told} (an axis is the path of a key of the study)")
+            raise InputError(f"{told} (an axis is the path of a key of the study)")
         return _axis(key, loc, known[key], value, sampled=sweep.get("mode") == _HYPERCUBE)
 
     entries = {key: value for key, value in sweep.items() if key not in Sweep.model_fields}
@@ -109,12 +101,12 @@ def _entries(
     for key, loc, value in flattened(table, known, kind, (name,)):
         try:
             if key in found:
-                raise EntryError("is given twice")
+                raise InputError("is given twice")
             found[key] = read(key, loc, value)
         except ValidationError as error:
             findings += [((*loc, *fault["loc"]), fault["msg"]) for fault in error.errors()]
-        except EntryError as error:
-            findings.append(((*loc, *error.inside), str(error)))
+        except InputError as error:
+            findings.append(((*loc, *error.place), str(error)))
         if len(findings) > MOST_TOLD:
             break  # the search for the key that was meant is slow
     return found, findings
@@ -137,45 +129,45 @@ def flattened(
 
 
 def _axis(key: str, loc: Loc, target: Target, value: Any, *, sampled: bool) -> Axis:
-    """Raises EntryError, ValidationError."""
+    """Raises InputError, ValidationError."""
     if isinstance(value, dict):
         return _range(key, loc, target, Range.model_validate(value), sampled=sampled)
     if not isinstance(value, list):
-        raise EntryError(f"must be a list of values, or {{ start, stop, num }}, not {type_name(value)}")
+        raise InputError(f"must be a list of values, or {{ start, stop, num }}, not {type_name(value)}")
     if sampled:
-        raise EntryError("a latin-hypercube samples ranges: write { start, stop } instead of a list")
+        raise InputError("a latin-hypercube samples ranges: write { start, stop } instead of a list")
     if not value:
-        raise EntryError("has no values; list at least one")
+        raise InputError("has no values; list at least one")
     return Axis(key, loc, target, tuple(_value(target, item, place) for place, item in enumerate(value)))
 
 
 def _range(key: str, loc: Loc, target: Target, given: Range, *, sampled: bool) -> Axis:
     if target.si is None:
-        raise EntryError("has no range: list its values")
+        raise InputError("has no range: list its values")
     start, stop = (float(_value(target, getattr(given, name), name)) for name in ("start", "stop"))
     if start == stop:
-        raise EntryError("start and stop are the same value")
+        raise InputError("start and stop are the same value")
     if given.scale == "log" and min(start, stop) <= 0:
-        raise EntryError("a log scale needs a positive start and stop")
+        raise InputError("a log scale needs a positive start and stop")
     axis = Axis(key, loc, target, (start, stop), given.scale == "log")
     if sampled:
         if given.num is not None:
-            raise EntryError("a latin-hypercube has one number of samples for all axes: leave num out", "num")
+            raise InputError("a latin-hypercube has one number of samples for all axes: leave num out", "num")
         return axis
     if given.num is None:
-        raise EntryError(f"is missing: {Range.model_fields['num'].description}", "num")
+        raise InputError(f"is missing: {Range.model_fields['num'].description}", "num")
     return Axis(key, loc, target, tuple(axis.at(i / (given.num - 1)) for i in range(given.num)))
 
 
 def _value(target: Target, value: Any, *inside: str | int) -> Value:
-    """One value in SI. Raises EntryError."""
+    """One value in SI. Raises InputError."""
     if target.si is not None:
         try:
             return to_si(value, target.unit)
         except ValueError as error:
-            raise EntryError(str(error), *inside) from None
+            raise InputError(str(error), *inside) from None
     if isinstance(value, bool) or not isinstance(value, int | str):
-        raise EntryError(f"must be a text or a whole number, not {type_name(value)}", *inside)
+        raise InputError(f"must be a text or a whole number, not {type_name(value)}", *inside)
     return value
 
 
@@ -382,32 +374,32 @@ def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
 
 
 def _input(data: Mapping[str, Any], key: str, loc: Loc, entry: Any, known: Mapping[str, Target]) -> Input:
-    """Raises EntryError, ValidationError."""
+    """Raises InputError, ValidationError."""
     if key.partition(".")[0] == "geometry":
-        raise EntryError("is another body with other nodes, which cannot be held against this one; sweep it")
+        raise InputError("is another body with other nodes, which cannot be held against this one; sweep it")
     if key not in known:
-        raise EntryError(unknown(key, list(known), "quantity", list_all=False))
+        raise InputError(unknown(key, list(known), "quantity", list_all=False))
     if not isinstance(entry, Mapping):
-        raise EntryError(f"must be a table: {_FORMS}; not {type_name(entry)}")
+        raise InputError(f"must be a table: {_FORMS}; not {type_name(entry)}")
     given, target = Known.model_validate(dict(entry)), known[key]
     if (given.sd is None) == (given.range is None):
-        raise EntryError(f"{_FORMS}, one of them")
+        raise InputError(f"{_FORMS}, one of them")
     value = value_at(data, target.loc)
     if not isinstance(value, float):
-        raise EntryError("has no value in this study; give it one, or leave it out here")
+        raise InputError("has no value in this study; give it one, or leave it out here")
     if given.sd is not None:
         sd = float(_value(target, given.sd, "sd"))
         if sd <= 0:
-            raise EntryError(f"must be positive, not {sd:g}", "sd")
+            raise InputError(f"must be positive, not {sd:g}", "sd")
         return Input(key, target.loc, target.unit, value, (value - sd, value + sd), 1.0, {"sd": sd}, loc)
     if not isinstance(given.range, list | tuple) or len(given.range) != 2:
-        raise EntryError("must be a list of two values, the least and the most", "range")
+        raise InputError("must be a list of two values, the least and the most", "range")
     low, high = (float(_value(target, end, "range")) for end in given.range)
     if not low < high:
-        raise EntryError("must begin with the smaller value, and end with another", "range")
+        raise InputError("must begin with the smaller value, and end with another", "range")
     if not low <= value <= high:
         unit = "" if target.unit == "1" else f" {target.unit}"
-        raise EntryError(f"does not hold the study's own value, {value:g}{unit}", "range")
+        raise InputError(f"does not hold the study's own value, {value:g}{unit}", "range")
     even = 1.0 / math.sqrt(3.0)  # every value between is as likely
     return Input(key, target.loc, target.unit, value, (low, high), even, {"range": [low, high]}, loc)
 

@@ -9,7 +9,7 @@ from .. import models
 from ..machine import machine_memory
 from ..study.checks import refusals
 from ..study.errors import Finding, InputError, MeshError
-from ..study.files import told_directory, without_folders
+from ..study.files import without_folders
 from ..study.registry import REFINED, Size
 from ..study.units import shown
 from .plan import Plan, PlannedCase, PlannedMesh
@@ -25,7 +25,6 @@ def summary(plan: Plan) -> dict[str, Any]:
     return {
         "study": {"name": study.name, "title": study.title},
         "command": list(plan.command),
-        "directory": told_directory(plan.directory, plan.command),
         "surfaces": surfaces(plan),
         "cases": [
             {

@@ -8,10 +8,10 @@ from contextlib import suppress
 from ..body.mesh import Mesh
 from ..body.mesh_cache import mesh_path, read_mesh, write_mesh
 from ..scene.measured_points import place_measured
-from ..scene.scene import Scene, SceneError, build_scene
+from ..scene.scene import Scene, build_scene
 from ..scene.warnings import scene_warnings
 from ..study.config import geometry_error
-from ..study.errors import Finding, Loc, MeshError, Problem
+from ..study.errors import Finding, InputError, Loc, MeshError, Problem
 from ..study.registry import FINITE_STRAIN, split
 from ..study.shapes import geometry_key
 from .plan import Plan, PlannedCase
@@ -97,9 +97,8 @@ def _scene(plan: Plan, case: PlannedCase, mesh: Mesh) -> Scene:
     try:
         place_measured(case.study, mesh)
         return build_scene(case.study, mesh)
-    except (SceneError, MeshError) as error:
-        place: Loc = error.place if isinstance(error, SceneError) else ("constraints",)
-        finding = (place, _in_case(str(error), case))
+    except InputError as error:
+        finding = (error.place or ("constraints",), _in_case(str(error), case))
         raise plan.study.error([finding]) from error
 
 

@@ -243,7 +243,7 @@ def test_mesh_size_beyond_the_body_and_over_the_budget(tmp_path: Path, ball: Mes
         MeshError, match=f"{budget}{unit}if that is wrong correct scale, else use a larger mesh_size$"
     ):
         build_mesh(shaped("file", 1e-5, {**parameters, "scale": 1.0}))
-    assert large.value.key == small.value.key == "mesh_size", "the file is sound"
+    assert large.value.place == small.value.place == ("mesh_size",), "the file is sound"
 
 
 def test_no_facets_or_other_cells(tmp_path: Path, ball: Mesh) -> None:

@@ -61,7 +61,6 @@ def test_no_stored_file_names_a_folder_of_the_command(tmp_path: Path) -> None:
     _assert_nobody_is_named(out, tmp_path / "results")
     plan = json.loads((out / "plan.json").read_text())
     assert plan["command"] == ["run", "small.toml", "--surface", "ball.obj", "--out", "out"]
-    assert plan["directory"] == "out"
     assert plan["surfaces"] == {hashlib.sha256(surface.read_bytes()).hexdigest(): "ball.obj"}
     again = json.loads(vdmbench("plan", *words, "--json", cwd=tmp_path).stdout)
     assert again["cases_to_run"] == 0

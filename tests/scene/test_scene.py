@@ -21,7 +21,7 @@ from vdmbench.body.surface_measures import Surface, facet_area_vectors, nodal_su
 from vdmbench.report.export import surface_fields
 from vdmbench.scene.regions import select
 from vdmbench.scene.scene import Scene, SceneError, build_scene
-from vdmbench.study.errors import Loc, MeshError
+from vdmbench.study.errors import Loc
 from vdmbench.study.schema import Region, Study
 from vdmbench.work.keys import wanted
 
@@ -115,7 +115,7 @@ def test_groups_come_from_the_mesh(sphere: Mesh) -> None:
     both = nodes(marked, {"group": "ligament", "above": {"axis": "x", "value": third}})
     assert (both == mask & (sphere.surface_points[:, 0] >= third)).all()
     assert both.sum() < 5
-    with pytest.raises(MeshError, match="no group 'hook'; it has: ligament"):
+    with pytest.raises(SceneError, match="no group 'hook'; it has: ligament"):
         nodes(marked, {"group": "hook"})
 
 
