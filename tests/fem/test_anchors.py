@@ -74,7 +74,7 @@ def test_thick_cylinder_as_published(poisson_ratio: float, value: float, verifie
 
 
 @a_sphere
-@pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999, 0.5])
+@pytest.mark.parametrize("poisson_ratio", [0.3, pytest.param(0.4999, marks=pytest.mark.slow), 0.5])
 def test_thick_sphere(poisson_ratio: float, verified: Verified) -> None:
     """An octant on rollers; the pressure depends on the resultant alone and is exact on flat facets too."""
     exact = ThickSphere(1.0, 2.0, 1.0, poisson_ratio, 1.0)
