@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.verification.records import RESULTS, Record, as_csv, document, from_csv
+from tests.verification.records import RESULTS, as_csv, document, from_csv
 
 pytest_plugins = ["pytester"]
 
@@ -25,29 +25,6 @@ def test_wrong(verified: Verified) -> None:
 def test_silent(verified: Verified) -> None:
     pass
 """
-
-
-def record(value: float, expected: float, tolerance: float) -> Record:
-    return Record("a ball", "radius", value, expected, tolerance, "a book", short=True)
-
-
-def test_a_record_passes_within_its_tolerance_and_never_where_it_is_not_finite() -> None:
-    assert record(1.25, 1.0, 0.25).passes
-    assert not record(1.26, 1.0, 0.25).passes
-    assert not record(float("nan"), 0.0, 1.0).passes
-    assert not record(float("inf"), 0.0, 1.0).passes
-
-
-def test_digits_that_depend_on_the_machine_are_not_stored() -> None:
-    assert record(3.1e-15, 0.0, 1e-10).row() == record(7.7e-14, 0.0, 1e-10).row()
-    assert record(3.1e-15, 0.0, 1e-10).row()["value"] == "< 1e-10"
-    assert record(3.1e-9, 0.0, 1e-10).row()["value"] == "3.1e-09", "a failure is shown as it is"
-    assert record(0.00123456, 0.0, 0.1).row()["value"] == "0.00123"
-    assert record(2.9134, 3.0, 0.15).row()["value"] == "2.91"
-    assert record(0.857143219, 0.857143, 5e-7).row()["value"] == "0.857143"
-    text = document([record(1.0, 1.0, 0.1).row(), record(2.0, 1.0, 0.1).row()])
-    assert "1 of 2 checks pass" in text
-    assert "| a ball | **1 of 2 pass** | a book |" in text
 
 
 def test_tests_assert_on_their_records(pytester: pytest.Pytester) -> None:

@@ -151,21 +151,6 @@ def test_a_reference_without_any_answer_stops_alone(tmp_path: Path) -> None:
     _stops_alone(tmp_path, "small.toml", "fem refined", "vdm-paper", "rounding of its coordinates")
 
 
-@pytest.mark.slow
-def test_a_reference_without_a_rest_shape_stops_alone(tmp_path: Path) -> None:
-    text = _written(tmp_path, [1.0]).read_text()
-    for old, new in {
-        '"vdm-vector"': '"bem:nonlinear"',
-        '"1 kPa"': '"0.5 kPa"',
-        "0.4999": "0.49",
-        "[gravity]": "[gravity]\nscanned = true",
-        "800 Pa": "10 Pa",
-    }.items():
-        text = text.replace(old, new)
-    (tmp_path / "soft.toml").write_text(text)
-    _stops_alone(tmp_path, "soft.toml", "fem", "bem:nonlinear", "no rest shape")
-
-
 def _stops_alone(folder: Path, study: str, reference: str, model: str, why: str) -> None:
     result = vdmbench("run", study, "--out", "out", "--cache", folder / "cache", cwd=folder)
     assert result.returncode == 3, result.stderr
