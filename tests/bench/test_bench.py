@@ -12,8 +12,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from tests.command import vdmbench, vdmbench_process
-from tests.example_case import typed_study
-from tests.report.runs import make_case, make_run
+from tests.report.runs import make_case, make_run, typed_study
 from vdmbench.bench import SIZES, rows, study_to_run
 from vdmbench.cli.verbs_of_trials import bodies_to_measure
 from vdmbench.scene.result import FrameTimes

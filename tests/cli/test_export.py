@@ -15,8 +15,7 @@ import pyvista
 from numpy.testing import assert_allclose
 
 from tests.command import do
-from tests.example_case import asked
-from tests.report.runs import make_case, sweep_run
+from tests.report.runs import asked, make_case, sweep_run
 from vdmbench.cli.arguments import parse
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.report.blocks import Cell, Field, Table

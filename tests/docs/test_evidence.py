@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.example_case import example_measurement
-from tests.report.runs import make_case, make_run
+from tests.report.runs import example_measurement, make_case, make_run
 from tools import error_bars, evidence, mutants, trial
 from tools.documents import CASES, README, ROOT, cells, rows_shown, shown
 from tools.evidence import EVIDENCE, MEASURES

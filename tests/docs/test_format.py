@@ -8,7 +8,7 @@ from pathlib import Path
 
 import h5py
 
-from tests.example_case import example_case
+from tests.report.runs import whole_case
 from vdmbench.store import cases as store
 
 FORMAT = Path(__file__).parents[2] / "results" / "FORMAT.md"
@@ -32,7 +32,7 @@ def _documented() -> dict[str, re.Pattern[str]]:
 
 def test_every_dataset_is_documented_and_every_document_has_a_dataset(tmp_path: Path) -> None:
     path = tmp_path / "case.vtkhdf"
-    store.write_case(path, example_case())
+    store.write_case(path, whole_case())
     written: list[str] = []
     with h5py.File(path) as file:
         file.visititems(
@@ -48,7 +48,7 @@ def test_every_dataset_is_documented_and_every_document_has_a_dataset(tmp_path: 
 
 def test_attributes_and_seal_are_as_documented(tmp_path: Path) -> None:
     path = tmp_path / "case.vtkhdf"
-    store.write_case(path, example_case())
+    store.write_case(path, whole_case())
     text = " ".join(FORMAT.read_text().split())
     with h5py.File(path) as file:
         for group in ("VTKHDF", "VTKHDF/Steps", "VTKHDF/Points"):

@@ -10,19 +10,38 @@ from typing import Any
 import numpy as np
 
 from solver_common.solution import Status
-from tests.example_case import typed_study
 from tests.vdm.vdm_shapes import icosphere
 from vdmbench.body.surface_measures import Surface
 from vdmbench.machine import processor_name
-from vdmbench.measures.case import CaseResult, MetricSeries, Run
+from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
+from vdmbench.measures.measurement import InputSpread, Measurement, ModelSpread, Quantity
 from vdmbench.measures.metrics import METRICS, History, evaluate
 from vdmbench.scene.result import FrameTimes, ModelResult
+from vdmbench.study.config import resolved
+from vdmbench.study.schema import Study
 
 RADIUS = 0.05  # m
 AMPLITUDE = 0.002  # m, radial displacement at the poles at full load
 REFERENCE = "fem-linear"
 CONVERGED = Status("converged")
 STOPPED = Status("diverged", "the volume could not be held", "take smaller load steps")
+
+
+_LEAST: dict[str, Any] = {
+    "study": {"name": "ball", "models": ["vdm-paper"]},
+    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.006},
+    "tissue": {"youngs_modulus": 5e3, "poisson_ratio": 0.45},
+}
+
+
+def typed_study(**tables: Any) -> Study:
+    """A study of these tables, which need not fit each other, and of the least that a study has."""
+    return Study.model_validate(_LEAST | tables)
+
+
+def asked(case: CaseResult, **tables: Any) -> CaseResult:
+    """The case with these tables of its study in place of its own."""
+    return replace(case, study=Study.model_validate(resolved(case.study) | tables))
 
 
 def p2_mode(directions: np.ndarray) -> np.ndarray:
@@ -197,3 +216,101 @@ def measured_anew(case: CaseResult) -> CaseResult:
         )
         models[name] = replace(model, frames=frames)
     return replace(case, models=models)
+
+
+STUDY = typed_study(
+    study={"name": "s", "title": "<script>", "models": ["a", "b:x"]},
+    geometry={"shape": "file", "path": "liver.stl"},
+    constraints=[
+        {"kind": "contact", "region": "base", "name": "finger", "force": 0.1, "profile": "uniform"},
+        {"kind": "contact", "region": "base", "name": "palm", "pressure": 10.0},
+        {"kind": "fixed", "region": "base"},
+        {"kind": "constrained", "region": "base", "name": "rod", "displacement": [0.0, 0.0, 1e-3]},
+    ],
+    anisotropy={"fibre_direction": [1.0, 0.0, 0.0], "contrast": 2.0},
+    gravity={"acceleration": [0.0, 0.0, -9.81]},
+    vdm={"bulk_modulus": 10.0},
+    models={"vdm-paper": {"bulk_modulus": 20.0}},
+)
+
+
+def example_measurement() -> Measurement:
+    """Two quantities, of which the second was measured as a whole surface, and a program that came with them."""
+    return Measurement(
+        [
+            Quantity("tips", "tip <1>", "z", 2, -6.5e-3, 1e-4, 2e-5, facet=1, weights=(0.5, 0.25, 0.25)),
+            Quantity("bent", "", "rms distance", 2, 0.0, 1e-3, 0.0),
+        ],
+        {
+            "vdm-paper": np.array([-6.45e-3, 2e-3]),
+            "fem:direct": np.array([np.nan, np.nan]),
+            "COMSOL": np.array([-6.7e-3, np.nan]),
+        },
+        {"vdm-paper": np.full(2, np.nan), "fem:direct": np.array([1e-4, 2e-4]), "COMSOL": np.full(2, np.nan)},
+        {"tips": "motion capture", "bent": ""},
+        ("COMSOL",),
+        {"vdm-paper": np.array([2e-4, 0.0]), "fem:direct": np.full(2, np.nan)},
+    )
+
+
+def example_inputs() -> InputSpread:
+    """Two inputs."""
+    return InputSpread(
+        ["tissue.poisson_ratio", "tissue.youngs_modulus"],
+        ["1", "Pa"],
+        np.array([0.45, 5e3]),
+        np.array([0.01, 300.0]),
+        {
+            "vdm-paper": ModelSpread(0.07, 0.08, np.array([0.03, 0.06]), 0.3),
+            "fem:direct": ModelSpread(0.06, np.nan, np.array([0.01, 0.06]), 0.02),
+        },
+    )
+
+
+def whole_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45") -> CaseResult:
+    """A case with all that a file can hold, steps and numbers that are none among it."""
+    steps = (0.25, 0.5, 1.0)
+    case = make_case(
+        {"vdm-paper": 0.1},
+        label=label,
+        reference="fem:direct",
+        steps=steps,
+        stopped={"vdm-paper": 2},
+        subdivisions=0,
+    )
+    n = len(case.points)
+    models = {
+        name: replace(
+            result,
+            seconds_per_step=np.array([0.1, 0.2, np.nan]),
+            scalars={"compliance": 0.5 * result.energy},
+            part_of_node=np.arange(n) % 2 + 1,
+        )
+        for name, result in case.models.items()
+    }
+    return replace(
+        case,
+        hash=case_hash,
+        swept={"tissue.poisson_ratio": 0.45, "geometry.shape": "=cmd()"},
+        swept_units={"tissue.poisson_ratio": "1", "geometry.shape": "1"},
+        study=STUDY,
+        models=models,
+        reference_error={"relative_l2": 0.01, "observed_order": float("nan"), "gci:max_nodal_error": 0.25},
+        moved=np.linspace(0.0, 2e-3, n),
+        measurement=example_measurement(),
+        inputs=example_inputs(),
+        small_strain=SmallStrainLimits(
+            "constraints.finger.pressure",
+            "Pa",
+            {
+                "vdm-paper": ModelLimits(
+                    0.75,
+                    0.02,
+                    (
+                        Limit(0.05, "found", 350.0, 0.08, 0.004, 0.11, 0.05, 0.07),
+                        Limit(0.1, "model-stopped", 600.0, float("nan"), 0.006, 0.17),
+                    ),
+                )
+            },
+        ),
+    )

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.example_case import asked
-from tests.report.runs import make_case, make_run
+from tests.report.runs import asked, make_case, make_run
 from vdmbench.body.surface_measures import enclosed_volume
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.section_scene import parts_of, scene, scene_words

@@ -15,7 +15,7 @@ import tomli_w
 from numpy.testing import assert_array_equal
 
 from tests.command import strict_json
-from tests.example_case import N_STEPS, example_case
+from tests.report.runs import whole_case
 from vdmbench.measures import uncertainty
 from vdmbench.measures.case import Run
 from vdmbench.measures.frame import frame
@@ -43,7 +43,7 @@ def assert_same(a: Any, b: Any, where: str = "") -> None:
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    case = example_case()
+    case = whole_case()
     store.write_case(tmp_path / "case.vtkhdf", case)
     assert_same(case, store.read_case(tmp_path / "case.vtkhdf"))
     assert [path.name for path in tmp_path.iterdir()] == ["case.vtkhdf"], "no temporary file is left"
@@ -55,7 +55,7 @@ def _about(path: Path) -> str:
 
 
 def test_numbers_that_are_not_there_are_null_to_others_and_nan_to_us(tmp_path: Path) -> None:
-    case = example_case()
+    case = whole_case()
     result = dataclasses.replace(
         case.models["vdm-paper"],
         seconds_setup=np.nan,
@@ -91,7 +91,7 @@ def test_numbers_that_are_not_there_are_null_to_others_and_nan_to_us(tmp_path: P
 
 def test_a_models_own_output_cannot_take_the_place_of_what_every_model_has() -> None:
     """`volume` is one of the reference's further outputs: of the curved body, not of the polyhedron."""
-    result = example_case().models["vdm-paper"]
+    result = whole_case().models["vdm-paper"]
     with pytest.raises(ValueError, match="cannot be called 'volume'"):
         dataclasses.replace(result, scalars={**result.scalars, "volume": result.energy})
 
@@ -100,14 +100,14 @@ def test_vtk_reads_surface_fields_and_steps(tmp_path: Path) -> None:
     from vtkmodules.util.numpy_support import vtk_to_numpy
     from vtkmodules.vtkIOHDF import vtkHDFReader
 
-    case = example_case()
+    case = whole_case()
     path = tmp_path / "case.vtkhdf"
     store.write_case(path, case)
     reader = vtkHDFReader()
     reader.SetFileName(str(path))
     reader.UpdateInformation()
-    assert reader.GetNumberOfSteps() == N_STEPS
-    for step in range(N_STEPS):
+    assert reader.GetNumberOfSteps() == len(case.load_factors)
+    for step in range(len(case.load_factors)):
         reader.SetStep(step)
         reader.Update()
         assert reader.GetTimeValue() == case.load_factors[step]
@@ -136,7 +136,7 @@ def _reseal(path: Path, edit: Any) -> None:
 
 
 def test_a_file_is_named_by_its_label_and_found_by_its_hash(tmp_path: Path) -> None:
-    case = example_case()
+    case = whole_case()
     path = case_path(tmp_path, case.hash, "force = 0.1 N, poisson_ratio = -0.45")
     assert path.name == f"force-0.1-N-poisson_ratio--0.45-{case.hash[:12]}.vtkhdf"
     path.parent.mkdir()
@@ -148,7 +148,7 @@ def test_a_file_is_named_by_its_label_and_found_by_its_hash(tmp_path: Path) -> N
 
 
 def test_a_case_of_an_older_program_is_made_anew(tmp_path: Path) -> None:
-    case = example_case()
+    case = whole_case()
     path = case_path(tmp_path, case.hash)
     path.parent.mkdir()
     store.write_case(path, case)
@@ -188,7 +188,7 @@ FIELD = "VTKHDF/PointData/vdm-paper.displacement"
 )
 def test_a_tampered_file_is_refused(tmp_path: Path, edit: Any, message: str) -> None:
     path = tmp_path / "case.vtkhdf"
-    store.write_case(path, example_case())
+    store.write_case(path, whole_case())
     _reseal(path, edit)
     with pytest.raises(StoreError, match=message):
         store.read_case(path)
@@ -209,7 +209,7 @@ SWEPT = {KEY: 0.45}
 
 def _run_directory(directory: Path) -> None:
     """Three planned cases: one done, one failed, one missing."""
-    done, failed = example_case("a1" * 32), "b2" * 32
+    done, failed = whole_case("a1" * 32), "b2" * 32
     store.write_case(case_path(directory, done.hash), done)
     reason = {"hash": failed, "label": "x", "code": "error", "message": "too coarse", "remedy": "refine"}
     write_failure(failure_path(directory, failed), reason, "")
@@ -251,13 +251,13 @@ def test_a_case_that_would_not_be_read_is_not_written(
 ) -> None:
     monkeypatch.setattr(store, "MAX_BYTES", 100)
     with pytest.raises(ValueError, match="more than a case file holds; use fewer load steps"):
-        store.write_case(tmp_path / "case.vtkhdf", example_case())
+        store.write_case(tmp_path / "case.vtkhdf", whole_case())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_no_cell_of_the_table_is_a_formula() -> None:
     attack = '=HYPERLINK("http://example.org")'
-    case = example_case()
+    case = whole_case()
     series = dataclasses.replace(case.metrics["vdm-paper"]["max_nodal_error"], unit=attack)
     models, metrics = {attack: case.models["vdm-paper"]}, {attack: {attack: series}}
     case = dataclasses.replace(case, swept={attack: attack}, models=models, metrics=metrics)

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from solver_common.solution import Status
-from tests.example_case import asked
-from tests.report.runs import REFERENCE, make_case, make_run, measured_anew, sweep_run
+from tests.report.runs import REFERENCE, asked, make_case, make_run, measured_anew, sweep_run
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.study.config import resolved
 from vdmbench.study.registry import family_of

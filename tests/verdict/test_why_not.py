@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.example_case import asked
-from tests.report.runs import make_case, make_run, measured_anew
+from tests.report.runs import asked, make_case, make_run, measured_anew
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
 from vdmbench.study.registry import family_of
