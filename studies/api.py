@@ -137,7 +137,7 @@ def run(
     plan = make_plan(found, expand(found), directory, place, fresh=fresh)
     how = Options(jobs=jobs or usable_processors())
     with _script_left_alone():
-        data, report = run_plan(plan, found.text, how, watch, rebuild)
+        data, report = run_plan(plan, how, watch, rebuild)
     return Results(directory, data, report)
 
 

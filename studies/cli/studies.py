@@ -110,7 +110,7 @@ def run_missing(plan: Plan, options: argparse.Namespace, **how: Any) -> tuple[Ru
 
     with Progress(plan.study.study.name, quiet=options.json) as progress:
         chosen = Options(jobs=options.jobs or usable_processors(), **how)
-        return run_plan(plan, plan.study.text, chosen, progress.show, rebuild)
+        return run_plan(plan, chosen, progress.show, rebuild)
 
 
 def numbered_case(plan: Plan, number: int) -> PlannedCase:

@@ -504,9 +504,8 @@ class Digest:
         """What is said of a model's times: nothing where all were measured in turns with the others, here."""
         found, here = set(), ("", processor_name())
         for case in (case for case in self.cases if name in case.models):
-            about, frames = case.models[name].parameters, case.models[name].frames
-            machine = about.get("measured_on", case.provenance.get("processor", ""))
-            machine = frames.processor if frames is not None else machine
+            frames = case.models[name].frames
+            machine = frames.processor if frames is not None else case.provenance.get("processor", "")
             found |= {ONCE} if frames is None else set()
             found |= {ELSEWHERE} if machine not in here else set()
         return tuple(mark for mark in (ELSEWHERE, ONCE) if mark in found)

@@ -13,7 +13,7 @@ from solver_common.arrays import Index
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
-from ..machine import processor_name, read_arrays, write_arrays
+from ..machine import read_arrays, write_arrays
 from ..scene.result import ModelResult
 from ..store.plain import typed
 
@@ -27,7 +27,6 @@ STEPS = (
     "iterations",
     "seconds_per_step",
 )
-ELSEWHERE = "measured_on"  # parameter of a result whose times another processor took: which
 
 
 def answer_path(cache: Path, key: str) -> Path:
@@ -36,18 +35,15 @@ def answer_path(cache: Path, key: str) -> Path:
 
 
 def write_answer(path: Path, result: ModelResult) -> None:
-    """Store an answer, with the processor that its times are of. Raises OSError."""
-    # of this machine, for the cache may be copied to another; frames are measured anew in each run
-    write_arrays(path, result, processor=processor_name(), frames=None)
+    """Store an answer; frames are measured anew in each run. Raises OSError."""
+    write_arrays(path, result, frames=None)
 
 
 def read_answer(path: Path) -> ModelResult | None:
-    """The answer stored at `path`, marked where another processor took its times; None where none is sound."""
+    """The answer stored at `path`; None where none is sound."""
     stored = read_arrays(path)
     if stored is None:
         return None
-    if stored["processor"] != processor_name():
-        stored["parameters"][ELSEWHERE] = stored["processor"]
     arrays = {name: stored[name] for name in (*STEPS, "scalars", "part_of_node")}
     return typed(ModelResult, stored, **arrays)
 

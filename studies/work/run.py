@@ -67,7 +67,7 @@ class Options:
 
 
 def run_plan(
-    plan: Plan, study_text: str, options: Options, watch: Callable[[Event], None], finish: Finish
+    plan: Plan, options: Options, watch: Callable[[Event], None], finish: Finish
 ) -> tuple[Run, Path]:
     """Do what is missing of a plan, then write the tables and the report; returns the run and the report's path.
 
@@ -93,7 +93,7 @@ def run_plan(
             _check_memory(plan, tasks, watch)
         _tidy(plan)
         texts = {
-            STUDY: text_without_folders(study_text).encode(),
+            STUDY: text_without_folders(plan.study.text).encode(),
             RESOLVED: tomli_w.dumps(without_folders(resolved(plan.study))).encode(),
         }
         timed = options.times or _decides(plan)

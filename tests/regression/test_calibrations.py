@@ -36,7 +36,7 @@ def test_a_shipped_calibration_comes_out_again(study: str, tmp_path: Path) -> No
     path = ROOT / "studies" / "cases" / f"{study}.toml"
     loaded = load_study(path)
     plan = make_plan(loaded, expand(loaded), tmp_path / "run", tmp_path / "cache")
-    run, _ = run_plan(plan, path.read_text(), Options(jobs=2), lambda _: None, rebuild)
+    run, _ = run_plan(plan, Options(jobs=2), lambda _: None, rebuild)
     again = as_json(calibrate(body(plan, run)))
     assert again.keys() == stored(study).keys()
     for model, entry in stored(study).items():

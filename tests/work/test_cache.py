@@ -1,4 +1,4 @@
-"""Answers on disk: read back as they were, with the processor that their times are of."""
+"""Answers on disk: read back as they were."""
 
 from __future__ import annotations
 
@@ -6,17 +6,13 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from solver_common.solution import CONVERGED, Status
 from vdmbench.scene.result import ModelResult
-from vdmbench.work import cache
-from vdmbench.work.cache import ELSEWHERE, read_answer, write_answer
+from vdmbench.work.cache import read_answer, write_answer
 
 
-def test_an_answer_is_read_back_as_it_was_and_says_whose_times_it_has(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_is_read_back_as_it_was(tmp_path: Path) -> None:
     vectors, numbers = np.arange(12.0).reshape(2, 2, 3), np.array([1.0, np.nan])
     stored = ModelResult(
         displacement=vectors,
@@ -35,11 +31,7 @@ def test_an_answer_is_read_back_as_it_was_and_says_whose_times_it_has(
         part_of_node=np.array([0, 1]),
     )
     write_answer(tmp_path / "a.npz", stored)
-    here = read_answer(tmp_path / "a.npz")
-    monkeypatch.setattr(cache, "processor_name", lambda: "Abacus 3")
-    there = read_answer(tmp_path / "a.npz")
-    assert here is not None
-    assert there is not None
-    assert there.parameters.keys() - here.parameters.keys() == {ELSEWHERE}
+    found = read_answer(tmp_path / "a.npz")
+    assert found is not None
     for name, value in dataclasses.asdict(stored).items():
-        np.testing.assert_equal(dataclasses.asdict(here)[name], value, err_msg=name)
+        np.testing.assert_equal(dataclasses.asdict(found)[name], value, err_msg=name)
