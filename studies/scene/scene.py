@@ -12,7 +12,7 @@ from solver_common.arrays import Array, Index, Mask
 from solver_common.quadrature import facet_quadrature
 
 from ..body.mesh import Mesh, read_only
-from ..body.surface_measures import corner_sum, facet_area_vectors, nodal_sum
+from ..body.surface_measures import corner_sum, facet_area_vectors, facet_areas, nodal_sum
 from ..study.loads import Acts, Springs
 from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
@@ -121,31 +121,25 @@ class Scene:
         return self.fixed | self.constrained
 
     @cached_property
-    def _thrust(self) -> Array:
-        """(F, 3) integral of pressure times shape function over each facet, per corner [N]."""
+    def _pressed(self) -> Array:
+        """(F, 3) mean of pressure times shape function over each facet, per corner [Pa]."""
         barycentric, weights = facet_quadrature()
-        _, areas, _ = self._facets
-        return areas[:, None] * ((self.facet_pressure * weights) @ barycentric)
-
-    @cached_property
-    def _facets(self) -> tuple[Array, Array, Array]:
-        """(F, 3) unit normals and (F,) areas of the facets, (N,) nodal areas A_i [m^2]."""
-        vectors = facet_area_vectors(self.mesh.surface_points, self.mesh.triangles)
-        areas = np.linalg.norm(vectors, axis=1)
-        return vectors / areas[:, None], areas, nodal_sum(areas, self.mesh.triangles, len(self.fixed))
+        return (self.facet_pressure * weights) @ barycentric
 
     @cached_property
     def contact_force(self) -> Array:
         """(N, 3) nodal contact forces at load factor 1; their sum is minus the integral of p n [N]."""
-        normals, _, _ = self._facets
-        thrust = -self._thrust[:, :, None] * normals[:, None, :]
+        vectors = facet_area_vectors(self.mesh.surface_points, self.mesh.triangles)
+        thrust = -self._pressed[:, :, None] * vectors[:, None, :]
         return read_only(corner_sum(thrust, self.mesh.triangles, len(self.fixed)))
 
     @cached_property
     def contact_pressure(self) -> Array:
         """(N,) nodal pressure over A_i at load factor 1: sum A_i p_i is the integral of p [Pa]."""
-        _, _, nodal_areas = self._facets
-        return read_only(corner_sum(self._thrust, self.mesh.triangles, len(self.fixed)) / nodal_areas)
+        triangles, n_nodes = self.mesh.triangles, len(self.fixed)
+        areas = facet_areas(self.mesh.surface_points, triangles)
+        thrust = corner_sum(self._pressed * areas[:, None], triangles, n_nodes)
+        return read_only(thrust / nodal_sum(areas, triangles, n_nodes))
 
     def load(self, factor: float) -> SurfaceLoad:
         """What acts at a load factor; the weight does not scale."""
