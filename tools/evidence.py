@@ -219,28 +219,18 @@ def ratios_page(rows: Sequence[Sequence[str]]) -> str:
 def ratio_rows(body: str, study: str, *, surface: Path | None = None) -> Iterator[list[str]]:
     """A row a ratio: errors in displacement, shape and volume, over the volume that the reference displaces."""
     own = EVIDENCE["ratios"]
+
+    def pressed(ratio: float, inside: str) -> Sequence[CaseResult]:
+        name, form = f"accuracy-{body}-{ratio}-{inside}", {"bem": {"compressibility": inside}}
+        changes = {"study": {"name": name}, "tissue": {"poisson_ratio": ratio}, "models": form}
+        return ran(study, merged(own["set"], changes), name, surface=surface).cases
+
     for ratio in own["ratios"]:
-        tissue, fluid = (
-            ran(
-                study,
-                merged(
-                    own["set"],
-                    {"tissue": {"poisson_ratio": ratio}, "models": {"bem": {"compressibility": inside}}},
-                ),
-                f"accuracy-{body}-{ratio}-{inside}",
-                surface=surface,
-            ).cases
-            for inside in own["inside"]
-        )
+        tissue, fluid = (pressed(ratio, inside) for inside in own["inside"])
         errors = (_with_volume(tissue, "bem"), _with_volume(fluid, "bem"), _with_volume(tissue, "fem-linear"))
         volume = as_per_cent(np.abs(reached(tissue, "", [DISPLACED])).mean())
-        yield [
-            body,
-            str(ratio),
-            slashed(own_error(tissue).mean(axis=1)),
-            volume,
-            *map(mean_and_worst, errors),
-        ]
+        bars = slashed(own_error(tissue).mean(axis=1))
+        yield [body, str(ratio), bars, volume, *map(mean_and_worst, errors)]
 
 
 def _with_volume(cases: Sequence[CaseResult], model: str) -> np.ndarray:
