@@ -86,6 +86,7 @@ class Point:
 
     Attributes
     ----------
+    value : NaN of a solver that stops
     bar : of the value, from the reference's own error
     model, setting : what tells it from others of the row in that case; "key = value", several after semicolons
     floor : a limit of this case alone, where it is wider than the row's
@@ -164,20 +165,18 @@ class Place:
         return np.asarray(u - self.answer("fem").displacement[-1])
 
     def size(self, error: Array, *, normal: bool = False) -> float:
-        """Such an error over the displacement, or over its normal component; inf where it is not known."""
+        """Such an error over the displacement, or over its normal component; NaN where it is not known."""
         true = self.answer("fem").displacement[-1]
         if normal:
             error, true = (along(field[None], self.surface.normals)[0] for field in (error, true))
-        size = weighted_norm(error, self.surface.areas) / weighted_norm(true, self.surface.areas)
-        return size if math.isfinite(size) else math.inf
+        return weighted_norm(error, self.surface.areas) / weighted_norm(true, self.surface.areas)
 
     def drift(self, name: str, given: Given = NOTHING, load: float = 1.0) -> Array:
-        """(S,) volume that a model gains or loses over what it displaces, as a size; inf where it stops."""
+        """(S,) volume that a model gains or loses over what it displaces, as a size; NaN where it stops."""
         history = load * self.scene.load_factors
         found = self.answer(name, history, given)
         moved = Moved(found.displacement, found.reaction_force, history)
-        drift = np.abs(volume_drift_of_displaced(self.surface, moved))
-        return np.where(np.isfinite(drift), drift, np.inf)
+        return np.abs(volume_drift_of_displaced(self.surface, moved))
 
     def turned(self, one: Array, other: Array) -> float:
         """Length of the difference of two errors (N, 3), each taken with a length of one.
@@ -248,11 +247,7 @@ def linear_range(place: Place) -> Iterator[Point]:
     off = _at_small_strain(printed, place.strain)
     for row, value, bar in (
         ("linear elements at a strain of 10 %", _at_small_strain(elements, place.strain), 0.0),
-        (
-            "linear elements, largest strain of any point 10 %",
-            _at_small_strain(elements, largest),
-            0.0,
-        ),
+        ("linear elements, largest strain of any point 10 %", _at_small_strain(elements, largest), 0.0),
         ("printed model, error at a strain of 10 %", off, place.bar),
         ("printed model, growth of its error up to there", off - printed[0], 0.0),
     ):
@@ -286,26 +281,15 @@ def _amounts(scene: Scene) -> dict[str, tuple[float, float]]:
     """Quantity -> of the printed model, of mixed linear elements."""
     from fem_reference.linear import LinearProblem
 
-    printed = _printed(scene, _rule_of(scene))
-    body = scene.mesh
-    elements = LinearProblem(
-        body.points,
-        body.tetrahedra,
-        body.surface_nodes,
-        body.triangles,
-        youngs_modulus=scene.tissue.youngs_modulus,
-        poisson_ratio=scene.tissue.poisson_ratio,
-        held=scene.held,
-    ).system
+    printed, set_up = _printed(scene, _rule_of(scene)), Prepared(scene, "fem-linear").set_up
+    assert set_up is not None, "linear elements take these scenes"
+    assert isinstance(set_up.problem, LinearProblem)
+    elements = set_up.problem.system
     times = frame_times(scene, ("vdm-paper", "fem-linear"), rounds=3, budget=20.0)
     numbers = elements.stiffness.nnz + (2 * elements.divergence.nnz if elements.divergence is not None else 0)
     seconds = {
         told: tuple(float(np.nanmedian(getattr(times[name], kind))) for name in ("vdm-paper", "fem-linear"))
-        for told, kind in (
-            ("set-up", "setup"),
-            ("frame, all nodes", "everywhere"),
-            (CONDENSED, "contact"),
-        )
+        for told, kind in (("set-up", "setup"), ("frame, all nodes", "everywhere"), (CONDENSED, "contact"))
     }
     return {
         "unknowns": (float((~scene.held).sum() + 1), float(elements.size)),
@@ -334,11 +318,8 @@ def small_steps(place: Place) -> Iterator[Point]:
         form = "incremental form" if solver == "incremental" else total
         yield Point(form, place.size(many), place.bar, name)
         yield Point("normal component, 100 steps", place.size(many, normal=True), place.bar, name)
-        gain = place.size(one) - place.size(many)
-        bar = place.bar * place.turned(one, many)
-        yield Point(
-            "error of one step less that of 100", gain if math.isfinite(gain) else -math.inf, bar, name
-        )
+        gain, bar = place.size(one) - place.size(many), place.bar * place.turned(one, many)
+        yield Point("error of one step less that of 100", gain, bar, name)
     for name in DERIVED:
         yield Point("derived forms, 100 steps", place.size(place.end(name, MANY_STEPS)), place.bar, name)
 
@@ -424,11 +405,10 @@ def large_strain(place: Place) -> Iterator[Point]:
     for form, names in (("printed form", ("vdm-paper:nonlinear",)), ("derived forms", DERIVED)):
         for name in names:
             errors = place.errors(name)
-            growth, last = (x if math.isfinite(x) else math.inf for x in (errors[-1] - errors[0], errors[-1]))
             u, r = place.answer(name).displacement, place.answer("fem").displacement
             bar = place.bar * place.turned(*(u - r)[[0, -1]])
-            yield Point(f"growth of the error, {form}", growth, bar, name)
-            yield Point(f"{form}, error at full load", last, place.bar, name)
+            yield Point(f"growth of the error, {form}", errors[-1] - errors[0], bar, name)
+            yield Point(f"{form}, error at full load", errors[-1], place.bar, name)
 
 
 @rule
@@ -445,7 +425,7 @@ def stability(place: Place) -> Iterator[Point]:
         for solver in solvers:
             found = place.answer(f"vdm-paper:{solver}", (factor,), given)
             off = relative_l2(found.displacement[-1], direct, place.surface.areas)
-            value = off if found.status[-1].ok and math.isfinite(off) else math.inf
+            value = off if found.status[-1].ok else math.nan
             yield Point(solver, value, model=f"vdm-paper:{solver}", setting=f"ratio = {ratio:g}")
 
 
@@ -455,10 +435,10 @@ def iterations(place: Place) -> Iterator[Point]:
     unknowns = float((~place.scene.held).sum() + 1)
     for tolerance in (1e-4, 1e-8, 1e-12):
         cold = place.answer("vdm-paper:bicg-cold", (1.0,), {"tolerance": tolerance})
-        taken = cold.iterations[-1] / unknowns if cold.status[-1].ok else math.inf
+        taken = cold.iterations[-1] / unknowns if cold.status[-1].ok else math.nan
         yield Point("iterations over unknowns, from zero", taken, setting=f"tolerance = {tolerance:g}")
         warm = place.answer("vdm-paper:bicg", equal_steps(MANY_STEPS), {"tolerance": tolerance})
-        mean = warm.iterations.mean() / unknowns if all(s.ok for s in warm.status) else math.inf
+        mean = warm.iterations.mean() / unknowns if all(s.ok for s in warm.status) else math.nan
         yield Point("the same, warm, 100 steps", mean, setting=f"tolerance = {tolerance:g}")
 
 
@@ -490,8 +470,7 @@ def trade_off(place: Place) -> Iterator[Point]:
         times.append(min(taken))
     yield Point("nonlinear over quasi-linear, time of a step", times[0] / times[1])
     nonlinear, quasi = (place.errors(name)[-1] for name in names)
-    loss = float(quasi - nonlinear)
-    yield Point("error of quasi-linear less that of nonlinear", loss if math.isfinite(loss) else -math.inf)
+    yield Point("error of quasi-linear less that of nonlinear", float(quasi - nonlinear))
 
 
 @rule
@@ -619,16 +598,19 @@ def measure(
         raise ValueError(f"there is no claim {strange[0]}; they are 1 to {len(RULES)}")
     rows = []
     for place in places(cache):
-        case = place.body, place.mesh_name, place.poisson_ratio
         watch(f"{place.body}, {place.mesh_name} mesh, Poisson's ratio {place.poisson_ratio:g}")
         for number in chosen:
             if place.poisson_ratio in ratios_of(number):
-                with np.errstate(all="ignore"):
-                    rows += [
-                        (number, p.row, *case, p.model, p.setting, p.value, p.bar, p.floor)
-                        for p in RULES[number - 1](place)
-                    ]
+                rows += points_of(number, place)
     return pd.DataFrame(rows, columns=list(COLUMNS)).sort_values("claim", kind="stable", ignore_index=True)
+
+
+def points_of(number: int, place: Place) -> list[tuple[Any, ...]]:
+    """The points of a claim in one case, as `COLUMNS`."""
+    case = place.body, place.mesh_name, place.poisson_ratio
+    with np.errstate(all="ignore"):
+        found = RULES[number - 1](place)
+        return [(number, p.row, *case, p.model, p.setting, p.value, p.bar, p.floor) for p in found]
 
 
 # --- the words ---
@@ -664,14 +646,14 @@ def judge(points: DataFrame) -> list[Row]:
 
 
 def _row(number: int, name: str, limit: Mapping[str, float], along: Sequence[str], points: DataFrame) -> Row:
+    sign, about = -1.0 if "at_least" in limit else 1.0, (number, name)
     values, bars = points["value"].to_numpy(), points["bar"].to_numpy()
-    about = (number, name)
+    values = np.where(np.isfinite(values), values, sign * math.inf)  # what stops is beyond any limit
     ends = float(values.min()), float(values.max())
     if not limit:
         return Row(*about, "", "", 0, len(values), *ends)
     ((sense, least),) = limit.items()
     bound = np.fmax(least, points["floor"].to_numpy())
-    sign = 1.0 if sense == "at_most" else -1.0
     states = states_of(sign * values, bars, sign * bound)
     holds, fails = states == WITHIN, states >= BEYOND
     told = f"{sense.replace('_', ' ')} {least:g}"
@@ -749,7 +731,7 @@ def read_points(path: Path) -> DataFrame:
     """Read them back. Raises OSError, and ValueError where it is no such file."""
     import pandas as pd
 
-    table = pd.read_csv(path, keep_default_na=False, dtype={"setting": str, "model": str})
+    table = pd.read_csv(path, dtype={"setting": str, "model": str})
     if tuple(table.columns) != COLUMNS:
         raise ValueError(f"{path}: not a file of claims; write one with vdmbench claims --out")
-    return table.replace({"floor": {"": "nan"}}).astype({"value": float, "bar": float, "floor": float})
+    return table.fillna({"setting": "", "model": ""})
