@@ -7,7 +7,7 @@ not the shape, not the area of a support.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -43,8 +43,9 @@ class Hierarchy:
 
     def inherit_inside(self, mask: Mask) -> Mask:
         """(m,) mask of tetrahedra on the finest mesh, of that on the coarsest."""
-        for mesh, finer in pairwise(self.meshes):
-            mask = mask[_split_of(mesh, finer)]
+        for mesh in self.meshes[:-1]:
+            fine = _of_skfem(mesh).with_subdomains({"inside": np.flatnonzero(mask)}).refined()
+            mask = np.isin(np.arange(fine.nelements), fine.subdomains["inside"])
         return mask
 
     def restrict(self, force: Array) -> Array:
@@ -101,9 +102,7 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
 
 def _split_inside(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:
     """Points, the eight tetrahedra of each, and the points that halve the edges `pairs` (k, 2)."""
-    import skfem  # slow to load, and who only plans refines nothing
-
-    coarse = skfem.MeshTet(mesh.points.T.copy(), mesh.tetrahedra.T.copy())
+    coarse = _of_skfem(mesh)
     fine = coarse.refined()
     # the halves of a tetrahedron come with either orientation
     tetrahedra = fine.t.T.astype(np.int64)
@@ -115,19 +114,10 @@ def _split_inside(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:
     return np.ascontiguousarray(fine.p.T), tetrahedra, middles
 
 
-def _split_of(mesh: Mesh, finer: Mesh) -> Index:
-    """(8 m,) the tetrahedron that each of the finer mesh is a part of: its nodes halve the edges of that one."""
-    import skfem
+def _of_skfem(mesh: Mesh) -> Any:
+    import skfem  # slow to load, and who only plans refines nothing
 
-    edges = skfem.MeshTet(mesh.points.T.copy(), mesh.tetrahedra.T.copy()).edges.T
-    ends = np.concatenate([np.repeat(np.arange(len(mesh.points))[:, None], 2, axis=1), edges])
-    family = np.sort(ends[finer.tetrahedra].reshape(len(finer.tetrahedra), -1), axis=1)
-    new = np.diff(family, axis=1, prepend=-1) > 0
-    rows = np.concatenate([np.sort(mesh.tetrahedra, axis=1), family[new].reshape(-1, 4)])
-    number = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
-    place = np.empty(len(mesh.tetrahedra), dtype=np.int64)
-    place[number[: len(place)]] = np.arange(len(place))
-    return np.asarray(place[number[len(place) :]])
+    return skfem.MeshTet(mesh.points.T.copy(), mesh.tetrahedra.T.copy())
 
 
 def inherit(mask: Mask, mesh: Mesh, parents: Index) -> Mask:

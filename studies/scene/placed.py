@@ -12,6 +12,7 @@ from solver_common.quadrature import facet_quadrature
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import facet_area_vectors
+from ..body.topology import half_edges
 from ..study.errors import Loc
 from ..study.loads import PROFILES, Constraint
 from ..study.loads import Indenter as IndenterTable
@@ -76,7 +77,7 @@ class PlacedConstraint:
     def edges(self) -> Index:
         """(k, 2) edges of the surface between the nodes of a region that has no facet of its own."""
         triangles, mask = self.triangles, self.nodes
-        sides = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+        sides = np.sort(half_edges(triangles), axis=1)
         edges = np.unique(sides[mask[sides].all(axis=1)], axis=0)
         if not len(edges):
             raise self._error("has no edge between its nodes; enlarge its region")
