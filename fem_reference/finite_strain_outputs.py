@@ -14,7 +14,7 @@ from fem_reference.outputs import strain_below
 from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.surface_stretch import BIOT, CREASE, most_compressed
 from solver_common.arrays import Array
-from solver_common.solution import ENDED
+from solver_common.solution import ENDED, RESIDUAL
 
 OUTPUTS = {
     "condition_estimate": "condition number of the scaled tangent's symmetric part in that state, see"
@@ -123,7 +123,7 @@ class Record:
         if attempt.code == _TOO_SMALL.code:
             return _TOO_SMALL
         iterations, residual = len(attempt.residuals) - 1, attempt.residuals[-1]
-        told = ENDED.format(_FAILURES[attempt.code], reached, number, iterations, residual)
+        told = ENDED.format(_FAILURES[attempt.code], reached, number, iterations, RESIDUAL.format(residual))
         u = self._converged.state.displacement
         if attempt.code == "passed" or not u.any():
             return Status(attempt.code, told, _REMEDY)

@@ -24,8 +24,8 @@ from fem_reference.tangent_solver import TangentSolver, TangentSystem
 from solver_common.arrays import Array, Mask
 from solver_common.progress import Progress, tell
 from solver_common.quadrature import facet_quadrature
+from solver_common.substeps import Substeps
 
-_LEAST_STEP = 2.0**-8  # of a load step
 _FAST = 0.1  # of the residual: an iteration that leaves no more is not the last
 _EASY = 5  # Newton iterations after which the next substep may be longer
 # Newton far from its goal may raise the residual, but one that keeps doing so may end on another branch.
@@ -181,25 +181,16 @@ class Newton:
 
         Every attempt is yielded; the last one either reaches load factor one or has failed.
         """
-        reached, step, wall, failed = 0.0, 1.0, np.inf, False  # the wall: where an attempt failed last
-        while reached < 1.0:
-            # A remainder too short to be tried alone is taken along.
-            target = 1.0 if reached + step > 1.0 - _LEAST_STEP else reached + step
-            step = target - reached
-            attempt = self.solve(state, start.towards(end, target), target, reached)
+        substeps = Substeps()
+        while substeps.reached < 1.0:
+            target = substeps.target
+            attempt = self.solve(state, start.towards(end, target), target, substeps.reached)
             yield attempt
             if attempt.converged:
-                state, reached = attempt.state, target
-                wall = wall if wall > reached else np.inf
-                if len(attempt.residuals) - 1 <= _EASY and not failed:
-                    step *= 2.0
-                else:  # what failed is tried again after an easy step only
-                    step = max(min(step, 0.5 * (wall - reached)), _LEAST_STEP)
-                failed = False
-            elif step <= _LEAST_STEP or attempt.code == "too-small" or self._is_unstable(attempt):
+                state = attempt.state
+                substeps.found(len(attempt.residuals) - 1 <= _EASY)
+            elif attempt.code == "too-small" or not substeps.failed() or self._is_unstable(attempt):
                 return
-            else:
-                step, wall, failed = 0.5 * step, target, True
 
     def _is_unstable(self, failed: Substep) -> bool:
         """Whether the surface or the tangent before a failed substep is unstable: shorter ones do not help."""

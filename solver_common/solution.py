@@ -25,7 +25,8 @@ class Status:
 
 
 CONVERGED = Status("converged")
-ENDED = "{} beyond {:.4g} of load step {} (after {} iterations the relative residual was {:.1e})"
+ENDED = "{} beyond {:.4g} of load step {} (after {} iterations {})"
+RESIDUAL = "the relative residual was {:.1e}"
 
 
 class SolverError(ValueError):

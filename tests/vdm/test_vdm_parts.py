@@ -242,13 +242,13 @@ def test_a_beam_bends_as_the_elastica(monkeypatch: pytest.MonkeyPatch) -> None:
     strains = [found.scalars[f"strain_of_part_{k + 1}"][0] for k in range(len(own))]
     assert max(strains) == found.scalars["part_strain"][0]
     assert_allclose(found.reaction_force[0].sum(axis=0), [0.0, 0.0, force], rtol=0.0, atol=1e-6 * force)
-    assert found.iterations[0] < 25
+    assert found.iterations[0] < 15  # by a slope without the stretch that turning feigns
     moved = SurfaceMesh(points + found.displacement[0], BAR[1]).volume
     assert_allclose(moved, SIDE**2 * LENGTH, rtol=1e-9, atol=0.0)
 
 
 def test_parts_are_doubled_as_the_answers_ask_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where one part bends too far to balance, until twice as many change an answer by less than is told."""
+    """Where one part finds no balance, until twice as many change an answer by less than is told."""
     prepare = PartsSolver.prepare
 
     def as_one(self: PartsSolver, loads: Any, compared: bool = True) -> float:
@@ -257,6 +257,12 @@ def test_parts_are_doubled_as_the_answers_ask_for(monkeypatch: pytest.MonkeyPatc
             return prepare(self, loads, compared)
 
     monkeypatch.setattr(PartsSolver, "prepare", as_one)
+    solve = NonlinearSolver._solve
+    monkeypatch.setattr(
+        NonlinearSolver,
+        "_solve",
+        lambda self, *given: (None, 0, "lost") if self.body.n_pressures == 1 else solve(self, *given),
+    )
     body = box(counts=(12, 3, 3), size=(LENGTH, SIDE, SIDE))
     found = clamped(body).solve(
         [at_tip(body[0], np.array([0.0, 0.0, -2.0 * E * SIDE**4 / 12.0 / LENGTH**2]))]
@@ -330,30 +336,6 @@ def test_no_slope_is_kept_of_a_load_that_ended_far_from_its_balance() -> None:
         corrections.append(change)
     size = np.abs(corrections[1]).max()
     assert_allclose(corrections[0], corrections[1], rtol=0.0, atol=1e-6 * size)
-
-
-def test_a_step_that_fails_is_corrected_the_other_way_before_it_is_halved(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """With all corrections mixed, or with none where they were; each share of a load by both."""
-    asked: list[tuple[float, float, bool]] = []
-    solve = NonlinearSolver._solve
-
-    def failing(self: NonlinearSolver, load: Load, x: Array, pressure: Array, shares: Any) -> Any:
-        asked.append((*shares, self._mixes))
-        return (None, 0, np.inf) if len(asked) <= 3 else solve(self, load, x, pressure, shares)
-
-    monkeypatch.setattr(NonlinearSolver, "_solve", failing)
-    body = Parts(clamped(ROD, share=0.3).problem, 2)
-    step = NonlinearSolver(body.problem, body, body.factor).step(at_tip(ROD[0], np.array([0.0, 0.0, 1e-4])))
-    assert step.status.ok
-    assert asked == [
-        (0.0, 1.0, False),
-        (0.0, 1.0, True),
-        (0.0, 0.5, True),
-        (0.0, 0.5, False),
-        (0.5, 1.0, False),
-    ]
 
 
 def test_parts_at_small_displacements_are_one_body() -> None:

@@ -216,6 +216,7 @@ class Parts:
         self._slope: _Slope | None = None
         self._lacked = np.inf, np.inf  # at the last two corrections, and under which load
         self._load: Load | None = None
+        self._before: Balance | None = None  # that the last correction was for
         self._factor: Factor = Nothing()
         if self.n_parts > 1:
             self._joined_at(np.tile(np.eye(3), (self.n_parts, 1, 1)))
@@ -305,6 +306,8 @@ class Parts:
         change = (moved + slope.answers @ push).reshape(-1, 3)
         closing, more = self._closing(balance, change, gap)
         change = change + closing
+        if lacking.any():
+            self._before = balance
         # the pressure of the weight rises where a part goes down as one
         sunk = [part.areas @ change[part.nodes] @ acting.rise for part in self.parts]
         return change[self.free], push[kept] + more - np.append(sunk, np.zeros(self._n_filled))
@@ -376,9 +379,10 @@ class Parts:
         columns = [np.append(k * e + np.arange(k), k * m + np.arange(self._n_filled)) for e in range(m)]
         size = k * m + self._n_filled
         border, corner = np.zeros((n, 3, size)), np.zeros((size, size))
+        away = self._foreseen(balance)
         pushed, inside = list[Array](), np.zeros((3 * len(self._inner), size))
         for e, ((part, i, _), q, at) in enumerate(zip(self._unknowns, turns, columns, strict=True)):
-            turning, own = self._turning(e, q, balance)
+            turning, own = self._turning(e, q, balance, away[self._spans[e]])
             filled = np.einsum("nck,dc->ndk", acting.filled[self._spans[e]], q)
             pressed = (acting.state.area_vectors[self._spans[e]] @ q.T)[:, :, None]
             pushes = np.concatenate([pressed, turning, filled], axis=2)
@@ -398,15 +402,33 @@ class Parts:
         answers = self._moved(*of_nodes, together, inside)
         return _Slope(turns, *of_nodes, columns, pushed, flat, answers, flat.T @ together + corner)
 
-    def _turning(self, number: int, q: Array, balance: Balance) -> tuple[Array, Array]:
+    def _foreseen(self, balance: Balance) -> Array:
+        """(n_p, 3) displacement in the parts' frames that the last correction foresaw of a state.
+
+        To first order. What is added on the way turns, and adding stretches what turns: forces of a stretch that
+        the next correction takes off make a slope that leads astray where a body is slender (Magisano, Leonetti and
+        Garcea, Comput. Methods Appl. Mech. Engrg. 313, 2017).
+        """
+        before = self._before
+        if before is None or before.load is not balance.load:
+            return np.asarray(balance.parts.away)
+        away, change = before.parts.away.copy(), (balance.x - before.x)[self._nodes]
+        for (part, span), q in zip(self._each(), before.parts.turns, strict=True):
+            y = before.parts.state.positions[span] @ q.T
+            y, moved = y - part.areas @ y, change[span] @ q.T
+            turn = np.einsum("nak,na->k", _turn_of(part.body.levers, y), moved)
+            away[span] += moved - np.cross(turn, y)
+        return np.asarray(away)
+
+    def _turning(self, number: int, q: Array, balance: Balance, away: Array) -> tuple[Array, Array]:
         """What turning a part adds to its slope, `U C U^T`: U (n, 3, 6) in its frame, and C^-1 (6, 6).
 
-        See the head of this file. The part is pressed on its closed surface by its weight too: it turns as one.
+        See the head of this file; `away` (n, 3) is its displacement there. Its weight presses its closed surface,
+        so that it turns as one.
         """
         part, acting, span = self.parts[number], balance.parts, self._spans[number]
         levers = part.body.levers
         y = acting.state.positions[span] @ q.T
-        away = y - part.body.rest
         y = y - part.areas @ y
         turned = (y @ TURNED).reshape(-1, 3, 3)
         stressed = part.form.swollen_forces(np.concatenate([away[:, :, None], turned], axis=2))
@@ -421,8 +443,7 @@ class Parts:
         inverse = np.zeros((6, 6))
         inverse[:3, 3:] = inverse[3:, :3] = np.eye(3)
         inverse[3:, 3:] = 0.5 * (met + met.T)
-        follows = np.einsum("kb,nab->nak", inverse_inertia(levers.T @ y), (levers @ TURNED).reshape(-1, 3, 3))
-        return np.concatenate([follows, slope], axis=2), inverse
+        return np.concatenate([_turn_of(levers, y), slope], axis=2), inverse
 
     def _joined_at(self, turns: Array) -> Array:
         """(m, 3, 3) rotations for a correction: these, or those of the last factor where no part has left it."""
@@ -503,6 +524,11 @@ def _angles(traces: Array) -> Array:
 def inverse_inertia(stretch: Array) -> Array:
     """(3, 3) by what couples arms turn a part, from the sum (3, 3) of the products of its arms and positions."""
     return np.asarray(np.linalg.inv(np.trace(stretch) * np.eye(3) - stretch))
+
+
+def _turn_of(levers: Array, y: Array) -> Array:
+    """(n, 3, 3) W: how nodes that move turn a part with arms and positions (n, 3); the turn is sum W^T dy."""
+    return np.einsum("kb,nab->nak", inverse_inertia(levers.T @ y), (levers @ TURNED).reshape(-1, 3, 3))
 
 
 def turned_block(matrix: Array, q: Array, p: Array) -> Array:

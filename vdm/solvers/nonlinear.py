@@ -10,7 +10,8 @@ import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
 from solver_common.progress import Progress, tell
-from solver_common.solution import ENDED
+from solver_common.solution import ENDED, RESIDUAL
+from solver_common.substeps import Substeps
 from vdm.constraints import Load
 from vdm.deformed import best_rotation
 from vdm.problem import Problem, Step
@@ -22,8 +23,6 @@ from vdm.solvers.linear import BorderedFactor
 MAX_ITERATIONS = 60
 HISTORY = 10
 FURTHEST = 3.0  # sizes of the body
-LONGEST = 0.05  # of that way: a correction by the state's own slope goes no further at once
-SMALLEST_SUBSTEP = 1.0 / 64.0
 # of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
 AS_ONE = 0.3
 LEAST_TURN = 1e-9  # of the second moment of the held nodes: rotations about which they say less are not made
@@ -205,10 +204,9 @@ class NonlinearSolver:
     The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
     slope of the state itself, or near the balance, Anderson acceleration mixes the corrections, also by what the
     last loads told of the slope. A last shift closes the volumes to rounding. A load step starts from the last
-    converged one. Where it fails it is tried again with all corrections mixed, or with none far from balance, as
-    the last one was not; then it is halved. One that failed holds the last balance on the way to its load, and the
-    next step starts where it did. Where the held nodes are moved, the body starts carried along as they are, best
-    fit by a rigid motion.
+    converged one, and is halved where it fails (`solver_common.substeps`). One that failed holds the last balance
+    on the way to its load, and the next step starts where it did. Where the held nodes are moved, the body starts
+    carried along as they are, best fit by a rigid motion.
 
     Parameters
     ----------
@@ -225,7 +223,7 @@ class NonlinearSolver:
         self.body: Large = body or Whole(problem, self.factor)
         self.free = self.body.free
         self._free_nodes = np.flatnonzero(self.free)
-        self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
+        self._anderson = Anderson(HISTORY)
         # a node that leaves the body by several of its sizes will not come back
         size = float(np.ptp(problem.body.rest, axis=0).max())
         self.reach = FURTHEST * size
@@ -262,38 +260,31 @@ class NonlinearSolver:
         self._number += 1
         if previous is None:
             self._number, self._path, self._largest = 0, self._starts, 0.0
-            self._anderson, self._mixes = Anderson(HISTORY), not self.body.has_slope
+            self._anderson = Anderson(HISTORY)
         last = self._path[-1]
         x, pressure = self._ahead(load)
-        reached, width, iterations, used, lacking = 0.0, 1.0, 0, 0, np.inf
+        substeps, iterations, used, why = Substeps(), 0, 0, ""
         balance: Balance | None = None
-        has_other = self.body.has_slope
-        while reached < 1.0:
-            target = min(reached + width, 1.0)
-            found, used, lacking = self._solve(
-                _between(last.load, load, target), x, pressure, (reached, target)
-            )
+        while (reached := substeps.reached) < 1.0:
+            target = substeps.target
+            found, used, why = self._solve(_between(last.load, load, target), x, pressure, (reached, target))
             iterations += used
             if found is None or used > HISTORY:  # on so bent a path the slopes of here mislead further on
                 self._anderson = Anderson(HISTORY)
-            if found is None and has_other:  # a slope misses what strains within, a mixture what turns
-                self._mixes, has_other = not self._mixes, False
-                continue
-            has_other = self.body.has_slope
             if found is None:
                 if reached == 0.0:
                     x, pressure = last.x, last.pressure
-                width *= 0.5
-                if width < SMALLEST_SUBSTEP:
+                if not substeps.failed():
                     break
                 continue
-            balance, x, pressure, reached = found, found.x, found.pressure, target
+            balance, x, pressure = found, found.x, found.pressure
+            substeps.found(used <= HISTORY)
         if balance is None:
             balance = self.body.balance(last.load, last.x, last.pressure)
         status = CONVERGED
         if reached < 1.0:
-            why = ENDED.format("the nonlinear balance was not found", reached, self._number, used, lacking)
-            status = Status("not-converged", why, REMEDY)
+            told = ENDED.format("the nonlinear balance was not found", reached, self._number, used, why)
+            status = Status("not-converged", told, REMEDY)
         else:
             self._path = [*self._path[1 - MOST_STATES :], _Converged(load, x, pressure)]
         border = np.zeros(self.factor.n_border)
@@ -389,8 +380,8 @@ class NonlinearSolver:
 
     def _solve(
         self, load: Load, x: Array, pressure: Array, shares: tuple[float, float]
-    ) -> tuple[Balance | None, int, float]:
-        """The balance if it was found, iterations, and their last relative residual."""
+    ) -> tuple[Balance | None, int, str]:
+        """The balance if it was found, iterations, and where they had come to."""
         nodes, body, unit = self._free_nodes, self.body, self._unit
         held = self._held(load)
         x = self.carried(x, held)[0]
@@ -398,26 +389,26 @@ class NonlinearSolver:
         # what the last load step learnt of the slope holds here too, nearly
         anderson = self._anderson
         anderson.begin()
-        smallest = left = np.inf
+        smallest, left = np.inf, ""
         for iteration in range(MAX_ITERATIONS):
             if (
                 not np.abs(self.problem.formulation.displacement(x[: len(self.problem.free)])).max()
                 < self.reach
             ):
-                return None, iteration, left
+                return None, iteration, f"a node was {FURTHEST:g} sizes of the body from its place"
             balance = body.balance(load, x, pressure)
             residual = float(np.linalg.norm(balance.lacking[nodes]))
             scale = max(balance.scale, self.smallest_force)
-            left = residual / scale
+            left = RESIDUAL.format(residual / scale)
             if not np.isfinite(residual) or residual > GROWTH_LIMIT * max(smallest, balance.scale):
                 return None, iteration, left
             smallest = min(smallest, residual)
-            tell(Progress(self._number, 0, *shares, iteration, left))
+            tell(Progress(self._number, 0, *shares, iteration, residual / scale))
             if residual <= TOLERANCE * scale and (np.abs(balance.gap).max() <= TOLERANCE):
                 return self._close_volume(load, balance, turn), iteration, left
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
             x = x.copy()
-            if self._mixes or residual < NEAR * balance.scale:
+            if not body.has_slope or residual < NEAR * balance.scale:
                 iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
                 mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
                 change = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn) - x[nodes]
@@ -425,9 +416,8 @@ class NonlinearSolver:
                 x[nodes] += change + closing
                 pressure = mixed[-len(pressure) :] / unit + pushed
                 continue
-            share = min(1.0, LONGEST * self.reach / max(float(np.abs(change).max()), np.finfo(float).tiny))
-            x[nodes] += share * change
-            pressure = pressure + share * pushed
+            x[nodes] += change
+            pressure = pressure + pushed
         return None, MAX_ITERATIONS, left
 
     def _close_volume(self, load: Load, balance: Balance, turn: Array) -> Balance | None:
