@@ -12,18 +12,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.command import SMALL_STUDY, vdmbench
-from tests.report.runs import icosphere
 from vdmbench.body import read_apart
-from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_file import read_point_fields, write_surface_vtu
 from vdmbench.measures import foreign
 from vdmbench.measures.foreign import ForeignResultError, read_foreign
 from vdmbench.store.cases import read_run
 
-
-def ball() -> Mesh:
-    points, triangles = icosphere(2)
-    return Mesh(points, np.zeros((0, 4), dtype=np.int64), np.arange(len(points)), triangles)
+from .test_measured import ball
 
 
 def field(points: np.ndarray) -> np.ndarray:

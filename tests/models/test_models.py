@@ -16,9 +16,7 @@ from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load
 from solver_common.quadrature import facet_quadrature
 from tests.bodies import telling_params
-from vdm.material import Parameters
 from vdm.solvers import SOLVERS
-from vdm.surface import SurfaceMesh
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
@@ -377,25 +375,3 @@ def test_a_plan_names_the_models_that_refuse_fibres(mesh: Mesh, tmp_path: Path) 
         name for name in refusing if of_fibres(mesh, name, fibres).status[0].code == models.REFUSED
     }
     assert len(told) == 3
-
-
-@pytest.mark.parametrize("contrast", [0.3, 3.0, 30.0])
-def test_contrast_of_edges_is_more_than_that_of_the_skin(contrast: float) -> None:
-    """Edges in six directions, 60 degrees apart: tension c times as stiff gives a skin (1 + 3c)/(3 + c) times.
-
-    The tension tensor of a skin is sum w f(e) d x d over its edges; the mean of cos^4 is 3/8, of cos^2 sin^2 1/8.
-    """
-    angles = np.radians(7.0 + 60.0 * np.arange(6))
-    ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)])
-    points = np.vstack([[0.0, 0.0, 0.0], ring, [0.0, 0.0, -1.0]])
-    following = np.roll(np.arange(1, 7), -1)
-    flat = np.column_stack([np.zeros(6, int), np.arange(1, 7), following])
-    below = np.column_stack([following, np.arange(1, 7), np.full(6, 7)])
-    surface = SurfaceMesh(points, np.vstack([flat, below]))
-    spokes = np.flatnonzero((surface.edges == 0).any(axis=1))
-    assert len(spokes) == 6
-    tension = Parameters(surface_tension=1.0).anisotropic(surface, (2.0, 0.0, 0.0), contrast).surface_tension
-    d = np.diff(points[surface.edges[spokes]], axis=1)[:, 0]
-    tensor = np.einsum("e,ea,eb->ab", np.asarray(tension)[spokes], d, d)
-    assert_allclose(tensor[0, 0] / tensor[1, 1], (1 + 3 * contrast) / (3 + contrast), rtol=1e-12, atol=0)
-    assert_allclose(tensor[0, 1], 0.0, rtol=0, atol=1e-12 * contrast)

@@ -186,25 +186,6 @@ def test_the_operators_are_those_of_all_tractions_summed_up(nu: float) -> None:
         assert_allclose(found, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
 
 
-def test_sharing_costs_an_answer_less_than_its_mesh_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    nu = 0.5
-
-    def solved(level: int) -> Array:
-        points, triangles = icosphere(level, (0.05, 0.05, 0.05))
-        parameters = Parameters(shear_modulus=1e3, poisson_ratio=nu)
-        model = Model(points, triangles, parameters, formulation="bem", fixed=points[:, 2] < -0.03)
-        pressure = 10.0 * np.clip(points[:, 2] / 0.05, 0.0, 1.0)
-        return np.asarray(model.solve([Load(pressure)]).displacement[0][:42])
-
-    each = solved(1)
-    monkeypatch.setattr(operators, "DOUBLE_NODES", 1000)
-    assert_allclose(solved(1), each, rtol=0.0, atol=0.0)  # few nodes: each facet has its own
-    finer = solved(2)
-    monkeypatch.setattr(operators, "DOUBLE_NODES", 0)
-    shared_by_two = solved(1)
-    assert 0.0 < np.linalg.norm(shared_by_two - each) < 0.3 * np.linalg.norm(each - finer)
-
-
 def test_a_solid_next_to_incompressible_keeps_its_volume(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a uniform pressure among the shared tractions it loses its bulk modulus."""
     monkeypatch.setattr(operators, "DOUBLE_NODES", 0)

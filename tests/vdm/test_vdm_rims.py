@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from solver_common.arrays import Mask
-from tests.vdm.vdm_shapes import box, icosphere
+from tests.vdm.vdm_shapes import BODY, POINTS, TRIANGLES, box
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.boundary.rims import Rims
 from vdm.constraints import Support
@@ -16,8 +16,6 @@ from vdm.peers.bem import BoundaryFormulation
 from vdm.problem import Problem
 from vdm.solvers.linear import LinearSolver
 
-POINTS, TRIANGLES = icosphere(2, (0.05, 0.06, 0.045))
-BODY = SurfaceMesh(POINTS, TRIANGLES)
 BASE = POINTS[:, 2] < -0.02
 SIDES = (0.04, 0.04, 0.04)
 
