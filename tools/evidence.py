@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import importlib
+import itertools
 import json
 import shutil
 import sys
@@ -16,7 +17,6 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
-from itertools import groupby
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -26,7 +26,7 @@ import tomli_w
 
 from tools.documents import CASES, ROOT, RUNS, finished, show, table
 from vdmbench.measures.case import CaseResult, Run
-from vdmbench.measures.frame import reference_bar, value_bar, where_reached
+from vdmbench.measures.frame import at_full_load, frame, reference_bar, where_reached
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
 from vdmbench.store.cases import read_run
@@ -356,7 +356,7 @@ def _along(key: str, cases: Mapping[float, CaseResult], base: float | str | None
 
 def _beside(right: Sequence[bool], base: int | None) -> list[int]:
     """The places beside the run of right ones that has the base, else the longest; the first if none is right."""
-    runs = [list(run) for ok, run in groupby(range(len(right)), key=right.__getitem__) if ok]
+    runs = [list(run) for ok, run in itertools.groupby(range(len(right)), key=right.__getitem__) if ok]
     if not runs:
         return [0]
     chosen = max([run for run in runs if base in run] or runs, key=len)
@@ -399,46 +399,44 @@ def league(_: Sequence[str]) -> None:
     """Models and engines on the same bodies under the same loads, the best first."""
     own = EVIDENCE["league"]
     here = [model for model in own["models"] if split(model)[0] in all_models()]
-    cases: list[CaseResult] = []
-    for body, load in ((body, load) for body in own["bodies"] for load in own["loads"]):
-        study_name = f"league-{body}-{load}"
-        text = study_of(own, body, load, name=study_name, models=[*here, "fem"])
-        cases += ran_text(text, study_name).cases
+    runs = []
+    for body, load in itertools.product(own["bodies"], own["loads"]):
+        name = f"league-{body}-{load}"
+        runs.append(ran_text(study_of(own, body, load, name=name, models=[*here, "fem"]), name))
     engines = [
         f"{wheel} {version(wheel)}" for wheel in ("mujoco", "ngsolve") if len(here) == len(own["models"])
     ]
     left_out = [
         f"Not here: {model}: `pip install ./docs/examples`." for model in own["models"] if model not in here
     ]
-    machine = f"{cases[0].provenance['processor']}, one thread"
-    told = " ".join([f"{', '.join([machine, *engines, f'{len(cases)} cases'])}.", *left_out])
-    show(ROOT / own["document"], own["part"], f"{told}\n\n{league_table(cases, here)}")
+    machine = f"{runs[0].cases[0].provenance['processor']}, one thread"
+    count = f"{sum(len(run.cases) for run in runs)} cases"
+    told = " ".join([f"{', '.join([machine, *engines, count])}.", *left_out])
+    show(ROOT / own["document"], own["part"], f"{told}\n\n{league_table(runs, here)}")
 
 
-def league_table(cases: Sequence[CaseResult], models: Sequence[str]) -> str:
+def league_table(runs: Sequence[Run], models: Sequence[str]) -> str:
     """A line for each model; a failure is within no limit, and what is within one with its bar is so surely."""
+    import pandas as pd
+
     limit = EVIDENCE["league"]["limit"]
+    every = at_full_load(pd.concat([frame(run) for run in runs])).set_index(["metric", "case"])
     head = ["model", "failed", "median error", "worst", f"within {short_percent(limit)}", "surely"]
     rows = []
     for model in models:
-        (errors,) = reached(cases, model, [VECTOR])
-        bars = np.array([value_bar(case, model, VECTOR) for case in cases])
-        within, surely = float(np.mean(errors <= limit)), float(np.mean(errors + bars <= limit))
-        there = np.flatnonzero(np.isfinite(errors))
-        cells = [model, str(len(cases) - len(there))]
-        if not len(there):
-            rows.append((0.0, np.inf, [*cells, *(NOTHING,) * 6]))
+        own = every[every["model"] == model]
+        errors = own.loc[VECTOR].sort_values("value")  # what failed last
+        known = errors.dropna(subset="value")
+        if known.empty:
+            rows.append((0.0, np.inf, [model, str(len(errors)), *[NOTHING] * 6]))
             continue
-        middle = there[errors[there].argsort()[(len(there) - 1) // 2]]
-        results = [cases[k].models[model] for k in there]
-        times = (
-            [result.seconds_per_step[cases[k].full_load] for k, result in zip(there, results, strict=True)],
-            [result.seconds_setup for result in results],
-        )
-        cells += [f"{percent(errors[middle])} ± {100 * bars[middle]:.2g} %", percent(errors[there].max())]
+        middle, worst = known.iloc[(len(known) - 1) // 2], float(known["value"].iloc[-1])
+        within, surely = (errors["value"] <= limit).mean(), (errors["value"] + errors["bar"] <= limit).mean()
+        cells = [f"{percent(middle['value'])} ± {100 * middle['bar']:.2g} %", percent(worst)]
         cells += [f"{100 * within:.0f} %", f"{100 * surely:.0f} %"]
-        cells += [quantity(float(np.median(taken)), "s") for taken in times]
-        rows.append((-within, errors[middle], cells))
+        for cost in ("seconds_per_step", "seconds_setup"):
+            cells.append(quantity(float(own.loc[cost]["value"][known.index].median()), "s"))
+        rows.append((-within, middle["value"], [model, str(len(errors) - len(known)), *cells]))
     return table([*head, "frame", "set-up"], [row[2] for row in sorted(rows, key=lambda row: row[:2])])
 
 

@@ -61,7 +61,7 @@ def test_shares_of_the_league_count_failures_and_bars() -> None:
         )
         for k in range(3)
     ]
-    rows = {row[0]: row[1:] for row in cells(evidence.league_table(cases, list("cba")))[1:]}
+    rows = {row[0]: row[1:] for row in cells(evidence.league_table([make_run(cases)], list("cba")))[1:]}
     assert list(rows) == ["a", "b", "c"], "the best first"
     assert rows["a"][:5] == ["0", "2.00 % ± 1.5 %", "4.00 %", "100 %", "100 %"]
     assert rows["b"][0] == "1"
