@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 
 from .machine import json_text, write_atomically
 from .measures.case import CaseResult, Run
-from .measures.frame import at_full_load, frame
+from .measures.frame import at_full_load
 from .measures.metrics import METRICS, Sense
 from .measures.uncertainty import SIGNED
 from .store.plain import StoreError, typed
@@ -129,7 +129,8 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
     values: dict[str, dict[str, dict[str, float | None]]] = {
         case.hash: {name: {} for name in case.models} for case in run.cases
     }
-    table = at_full_load(frame(run))
+    digest = digest_of(run)
+    table = at_full_load(digest.table)
     gated = table[table["metric"].isin([name for name in METRICS if sense_of(name) != "descriptive"])]
     for case, model, metric, value in zip(
         *(gated[c] for c in ("case", "model", "metric", "value")), strict=True
@@ -158,9 +159,7 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
         models=versions,
         metrics=measures,
         acceptance=run.study.acceptance.model_dump(mode="json"),
-        verdicts={
-            family: one.word for family, one in verdicts(digest_of(run)).families.items() if one.models
-        },
+        verdicts={one.family: one.word for one in verdicts(digest).asked},
         cases={
             case.label or ONLY_CASE: Entry(
                 inputs={key: asked[case.hash].get(key) for key in _changed(common, asked[case.hash])},

@@ -21,7 +21,7 @@ def rebuild(directory: Path) -> tuple[Run, Path]:
     report = directory / REPORT
     with lock(directory / ".lock-report", wait=True):  # the last of several shards sees all
         run = read_run(directory, damaged=True)
-        write_metrics(directory, run, digest_of(run).table)
+        write_metrics(directory, digest_of(run).table)
         write_report(run, report)
         run = dataclasses.replace(run, told=summary(run))
         keep_told(directory, run.plan, run.told or {})

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..machine import json_text, plain, write_atomically
 from ..measures import uncertainty
 from ..measures.case import DAMAGED, CaseResult, MetricSeries, Run
-from ..measures.frame import COLUMNS, COSTS, frame
+from ..measures.frame import COLUMNS, COSTS
 from ..measures.metrics import METRICS
 from ..scene.result import FrameTimes, ModelResult
 from .hdf5 import Block, Entry, hdf5_image
@@ -339,14 +339,8 @@ def _metric_versions() -> dict[str, int]:
 # --- the metrics of a run ---
 
 
-def write_metrics(directory: Path, run: Run, table: DataFrame | None = None) -> None:
-    """Write `metrics.csv`: every metric of every case, model and step in one long table.
-
-    Parameters
-    ----------
-    table : the frame of the run, where it is there
-    """
-    table = frame(run) if table is None else table
+def write_metrics(directory: Path, table: DataFrame) -> None:
+    """Write `metrics.csv`, the frame of a run: every metric of every case, model and step in one long table."""
     write_atomically(directory / METRICS_FILE, metrics_csv(table).encode("utf-8", "replace"))
 
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.report.runs import make_case, make_run
 from vdmbench.measures.case import CaseResult, MetricSeries
-from vdmbench.measures.frame import value_bar
+from vdmbench.measures.frame import frame, value_bar
 from vdmbench.measures.uncertainty import INDENTATION_FORCE
 from vdmbench.store import cases as store
 from vdmbench.store.run_directory import METRICS_FILE
@@ -34,7 +34,7 @@ def test_the_table_of_a_run_holds_load_factors_and_bars(tmp_path: Path, levels: 
     """The reference's own drift has a bar of its own: 1.25 |fine - coarse| / (r - 1), r = 2^(levels - 1)."""
     first = refined_case(levels)
     second = make_case({"vdm-paper": 0.1}, reference=REFINED, subdivisions=0, steps=(0.5, -2.0), label="bare")
-    store.write_metrics(tmp_path, make_run([first, second]))
+    store.write_metrics(tmp_path, frame(make_run([first, second])))
     table = pd.read_csv(tmp_path / METRICS_FILE)
     fine, coarse = (first.metrics[name][DRIFT].values[-1] for name in (REFINED, "fem-linear"))
     assert abs(fine - coarse) > 1e-6
