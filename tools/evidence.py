@@ -26,9 +26,9 @@ import tomli_w
 
 from tools.documents import CASES, ROOT, RUNS, finished, show, table
 from vdmbench.measures.case import CaseResult, Run
-from vdmbench.measures.frame import at_full_load, frame, reference_bar, where_reached
+from vdmbench.measures.frame import at_full_load, frame, where_reached
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
-from vdmbench.measures.uncertainty import is_resolved
+from vdmbench.measures.uncertainty import is_resolved, reference_bar
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import Study, expand, load_study
 from vdmbench.study.files import merged
@@ -106,7 +106,7 @@ def reached(cases: Sequence[CaseResult], model: str, metrics: Sequence[str] = ME
 
 def own_error(cases: Sequence[CaseResult], metrics: Sequence[str] = MEASURES) -> np.ndarray:
     """(metrics, cases) the reference's own error in them."""
-    return np.array([[reference_bar(case, metric) for case in cases] for metric in metrics])
+    return np.array([[reference_bar(case.reference_error, metric) for case in cases] for metric in metrics])
 
 
 def motion(cases: Sequence[CaseResult]) -> list[str]:

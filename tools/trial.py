@@ -36,8 +36,9 @@ from vdmbench.body.refine import refined
 from vdmbench.body.surface_measures import Surface, relative_l2
 from vdmbench.machine import cache_directory
 from vdmbench.measures.case import CaseResult
-from vdmbench.measures.frame import reference_bar, series
+from vdmbench.measures.frame import series
 from vdmbench.measures.reference import level_scene, own_error, restricted
+from vdmbench.measures.uncertainty import reference_bar
 from vdmbench.models import Prepared
 from vdmbench.models.frames import contact_frame, median_seconds, pressure_everywhere
 from vdmbench.scene.result import ModelResult
@@ -93,7 +94,7 @@ def row(body: str, load: str, case: CaseResult, form: str = FORM) -> list[str]:
     status = result.status[case.reached]
     told = status.message if status.ok else f"{status.code}: {status.message}"
     errors = [float(values[at]) for m in MEASURES if (values := series(case, form, m)) is not None]
-    own = [reference_bar(case, m) for m in MEASURES]
+    own = [reference_bar(case.reference_error, m) for m in MEASURES]
     return [
         body, load, str(len(case.points)), f"{1e3 * moved:.3g} mm", f"{parts:.0f}", slashed(errors), slashed(own),
         told or "nothing",

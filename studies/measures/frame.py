@@ -10,10 +10,9 @@ import numpy as np
 from solver_common.arrays import Array
 
 from ..study.registry import REFINED, Family, family_of
-from . import uncertainty
 from .case import CaseResult, Run
 from .metrics import METRICS, VECTOR
-from .uncertainty import SIGNED, estimate_error, no_less
+from .uncertainty import SIGNED, estimate_error, least_bar, reference_bar
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -31,11 +30,6 @@ def where_reached(case: CaseResult, model: str, metric: str) -> float:
     return math.nan if values is None or not len(values) else float(values[case.reached])
 
 
-def reference_bar(case: CaseResult, metric: str = VECTOR) -> float:
-    """The reference's own part in a metric (GCI) at the largest load that it reached, NaN where not measured."""
-    return uncertainty.reference_bar(case.reference_error, metric)
-
-
 def value_bar(case: CaseResult, model: str, metric: str) -> float:
     """The bar of a metric's value at the largest load that the reference reached; NaN where it has none.
 
@@ -47,13 +41,14 @@ def value_bar(case: CaseResult, model: str, metric: str) -> float:
     if not math.isfinite(bar) or metric not in SIGNED:
         return bar
     figures = {name: where_reached(case, model, name) for name in SIGNED}
-    return no_less(bar, metric, figures, reference_bar(case))
+    least = least_bar(metric, figures, reference_bar(case.reference_error, VECTOR))
+    return max(bar, least) if math.isfinite(least) else bar
 
 
 def _measured_bar(case: CaseResult, model: str, metric: str) -> float:
     levels = case.reference_error.get("levels", 1.0)
     if model != case.reference or levels < 2.0:
-        return reference_bar(case, metric)
+        return reference_bar(case.reference_error, metric)
     if f"own_gci:{metric}" in case.reference_error:
         return case.reference_error[f"own_gci:{metric}"]
     fine, coarse = (where_reached(case, name, metric) for name in (model, model.removesuffix(REFINED)))

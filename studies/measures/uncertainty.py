@@ -113,12 +113,6 @@ def least_bar(metric: str, figures: Mapping[str, float], relative: float) -> flo
     return relative if metric == "volume_drift_of_displaced" else math.nan
 
 
-def no_less(bar: float, metric: str, figures: Mapping[str, float], relative: float) -> float:
-    """A bar that was measured, or `least_bar` where that is known and wider."""
-    least = least_bar(metric, figures, relative)
-    return max(bar, least) if math.isfinite(least) else bar
-
-
 def stored_estimate(reference_error: Mapping[str, float]) -> ErrorEstimate | None:
     """The estimate behind a case's `reference_error`; None where it was not measured, or is no number."""
     differences = [

@@ -162,7 +162,7 @@ def _table(digest: Digest) -> Table:
 
 def _about(digest: Digest, name: str) -> str:
     about = ["reference"] if name == digest.reference else []
-    stopped = digest.stopped.get(name, 0)
+    stopped = digest.stopped(name)
     return ", ".join([*about, *([f"incomplete in {plural(stopped, 'case')}"] if stopped else [])])
 
 

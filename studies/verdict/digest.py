@@ -17,8 +17,9 @@ from solver_common.arrays import Array, Index
 from ..body.surface_measures import Surface
 from ..machine import processor_name
 from ..measures.case import CaseResult, Run
-from ..measures.frame import frame, reference_bar
+from ..measures.frame import frame
 from ..measures.metrics import DEFORMATION, VECTOR
+from ..measures.uncertainty import reference_bar
 from ..scene.result import ModelResult
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED, motion_share
 from ..study.registry import FINITE_STRAIN, REFINED, Family, family_of, split
@@ -195,7 +196,7 @@ class Digest:
 
     def bars(self, metric: str) -> Array:
         """(C,) the reference's own part in a metric of every case; NaN where there is none."""
-        return np.array([reference_bar(case, metric) for case in self.cases], dtype=float)
+        return np.array([reference_bar(case.reference_error, metric) for case in self.cases], dtype=float)
 
     def spread(self, model: str, metric: str) -> Spread | None:
         """A metric of a model at full load over all cases; None where none has it."""
@@ -393,14 +394,9 @@ class Digest:
             return self
         return Digest(replace(self.run, cases=[case for case in self.cases if case.hash not in beyond]))
 
-    @cached_property
-    def stopped(self) -> dict[str, int]:
-        """Model -> cases with a step that failed, of the models that have any."""
-        found = {
-            name: sum(bool(failed_steps(c.models[name])) for c in self.cases if name in c.models)
-            for name in self.models
-        }
-        return {name: count for name, count in found.items() if count}
+    def stopped(self, model: str) -> int:
+        """How many cases have a step of a model that failed."""
+        return sum(bool(failed_steps(case.models[model])) for case in self.cases if model in case.models)
 
     @cached_property
     def swept_keys(self) -> list[str]:

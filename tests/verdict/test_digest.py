@@ -78,6 +78,6 @@ def test_a_failed_case_is_no_key_case() -> None:
         ("best", "0.1"),
     ]
     vector = digest.spread("m", VECTOR)
-    assert digest.stopped == {"m": 1}
+    assert digest.stopped("m") == 1
     assert vector is not None
     assert vector.cases == 3
