@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeGuard, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeGuard, get_args
 
 from pydantic import (
     AfterValidator,
@@ -306,10 +306,7 @@ class OneOf(Table):
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
         words = get_args(cls.model_fields[cls.by].annotation) if cls.by in cls.model_fields else ()
-        for word in words:
-            if word in cls.kinds:
-                raise ValueError(f"{cls.by} {word!r} is registered already")
-            cls.kinds[word] = cls
+        cls.kinds.update(dict.fromkeys(words, cls))
 
     @classmethod
     def of(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
@@ -334,13 +331,7 @@ class OneOf(Table):
         one_of = f", one of {', '.join(cls.kinds)}" if key == cls.by else ""
         return super().missing_key(key) + one_of
 
-    if TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any: ...
-
-    else:
-
-        def __getattr__(self, name: str) -> Any:
-            if any(name in kind.model_fields for kind in self.kinds.values()):
-                return None
-            return super().__getattr__(name)
+    def __getattr__(self, name: str) -> Any:
+        if any(name in kind.model_fields for kind in self.kinds.values()):
+            return None
+        return super().__getattr__(name)  # type: ignore[misc]

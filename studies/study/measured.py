@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, ValidationInfo, model_validator
 
-from .errors import listed
+from .errors import file_fault, listed
 from .kinds import (
     MAX_NAME,
     SI,
@@ -106,9 +106,9 @@ def read_table(path: Path, layouts: Layouts, most: int = MOST_BYTES) -> tuple[st
     MeasuredFileError
         no such table: an unknown or missing column, a wrong unit, a cell that is no finite number.
     """
+    if fault := file_fault(path):
+        raise MeasuredFileError(f"{path.name} {fault}")
     try:
-        if not path.is_file():  # a FIFO would be waited for, a device read without end
-            raise MeasuredFileError(f"{path.name} cannot be read: no such file")
         with path.open("rb") as file:
             data = file.read(most + 1)
     except OSError as error:
