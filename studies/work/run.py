@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -144,18 +144,13 @@ def _tidy(plan: Plan) -> None:
     clear_abandoned(plan.directory / "failed", ".log")
 
 
-@contextmanager
-def _pool(plan: Plan, options: Options) -> Iterator[Pool]:
+def _pool(plan: Plan, options: Options) -> AbstractContextManager[Pool]:
     """What does the tasks: processes of this machine, or a cluster."""
     if options.scheduler is None:
-        with local_pool(options.jobs) as here:
-            yield here
-        return
+        return local_pool(options.jobs)
     from .cluster import cluster_pool
 
-    insecure = options.insecure_scheduler
-    with cluster_pool(options.scheduler, plan.directory, insecure=insecure) as cluster:
-        yield cluster
+    return cluster_pool(options.scheduler, plan.directory, insecure=options.insecure_scheduler)
 
 
 def _run_missing(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from ..body.mesh_cache import mesh_path
@@ -43,10 +43,23 @@ def tasks_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[Task]:
     A mesh goes with its refinements; answers with one set-up and all that the cache has not of it, a load path with
     a set-up of its own.
     """
-    set_ups = _set_ups(plan, cases)
+    set_ups: dict[str, Task] = {}
+    made_by: dict[str, str] = {}  # answer -> the task that makes it
     levels = dict.fromkeys((case.mesh for case in cases), 0)  # mesh -> how often it is refined
-    for found in set_ups.values():
-        levels[found.case.mesh] = max(levels[found.case.mesh], found.want.level)
+    for case in (part for one in cases for part in one.parts):
+        for want in case.wanted:
+            for key, factors in _factors(case, want):
+                if key in made_by or plan.has(answer_path(plan.cache, key)):
+                    continue
+                own = made_by[key] = f"answers {want.body}" + ("" if want.scales else f" {key}")
+                if own not in set_ups:
+                    levels[case.mesh] = max(levels[case.mesh], want.level)
+                    about = {"name": want.name, "level": want.level, "asked": []}
+                    label = f"{want.name}{' refined' if want.level else ''}"
+                    needs = frozenset({f"mesh {case.mesh}"})
+                    set_ups[own] = Task(own, "answers", label, case_payload(case, plan) | about, needs)
+                asked = {"key": key, "study": resolved(case.study), "factors": factors}
+                set_ups[own].payload["asked"].append(asked)
     on_mesh = {case.mesh: case for case in reversed(cases)}
     tasks = []
     for mesh, level in levels.items():
@@ -54,23 +67,15 @@ def tasks_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[Task]:
             label = plan.meshes[mesh].label + (", refined" if level else "")
             payload = case_payload(on_mesh[mesh], plan) | {"level": level}
             tasks.append(Task(f"mesh {mesh}", "mesh", label, payload, frozenset()))
-    for key, found in set_ups.items():
-        name, level, mesh = found.want.name, found.want.level, found.case.mesh
-        asked = [
-            {"key": answer, "study": resolved(case.study), "factors": factors}
-            for answer, (case, factors) in found.asked.items()
-        ]
-        payload = case_payload(found.case, plan) | {"name": name, "level": level, "asked": asked}
-        label = f"{name}{' refined' if level else ''}"
-        told = f"{len(asked)} loads" if len(asked) > 1 else found.case.label
-        label = ", ".join(filter(None, (label, told)))
-        tasks.append(Task(key, "answers", label, payload, frozenset({f"mesh {mesh}"})))
-    made_by = {answer: key for key, found in set_ups.items() for answer in found.asked}
+    for task in set_ups.values():
+        loads = len(task.payload["asked"])
+        told = f"{loads} loads" if loads > 1 else task.payload["case"]["label"]
+        tasks.append(replace(task, label=", ".join(filter(None, (task.label, told)))))
     for case in cases:
         answers = (key for part in case.parts for want in part.wanted for key in want.answers)
-        needs = {f"mesh {case.mesh}", *(made_by[key] for key in answers if key in made_by)}
+        mine = {f"mesh {case.mesh}", *(made_by[key] for key in answers if key in made_by)}
         label = case.label or plan.study.study.name
-        tasks.append(Task(case.hash, "case", label, case_payload(case, plan), frozenset(needs), case))
+        tasks.append(Task(case.hash, "case", label, case_payload(case, plan), frozenset(mine), case))
     return tasks
 
 
@@ -84,26 +89,6 @@ def case_payload(case: PlannedCase, plan: Plan) -> dict[str, Any]:
         "volume": mesh.volume,
         "file_hash": mesh.file_hash,
     }
-
-
-@dataclass(frozen=True)
-class _SetUp:
-    """The first case that wants a set-up, and what is asked of it: key -> a case that wants it, load factors."""
-
-    case: PlannedCase
-    want: Wanted
-    asked: dict[str, tuple[PlannedCase, tuple[float, ...]]]
-
-
-def _set_ups(plan: Plan, cases: Sequence[PlannedCase]) -> dict[str, _SetUp]:
-    found: dict[str, _SetUp] = {}
-    for case in (part for one in cases for part in one.parts):
-        for want in case.wanted:
-            for key, factors in _factors(case, want):
-                if not plan.has(answer_path(plan.cache, key)):
-                    own = f"answers {want.body}" + ("" if want.scales else f" {key}")
-                    found.setdefault(own, _SetUp(case, want, {})).asked.setdefault(key, (case, factors))
-    return found
 
 
 def _factors(case: PlannedCase, want: Wanted) -> Iterator[tuple[str, tuple[float, ...]]]:
