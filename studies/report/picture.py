@@ -73,7 +73,10 @@ _PANEL = 420  # pixels
 _DPI, _LINE, _SCALE, _LETTERS = 100, 20, 70, 55
 _MARGIN = 1.06  # of the body's extent, seen from the camera
 _SHAPES = (0.45, 1.1)  # least and largest height of a panel over its width
-_NO_METADATA: Any = {"Software": None}
+_NO_METADATA: Any = {
+    "png": {"Software": None},
+    "svg": dict.fromkeys(("Date", "Creator", "Format", "Type")),
+}
 _QUICK = {"compress_type": zlib.Z_RLE}  # a third of the time of the usual for a fifteenth more bytes
 
 
@@ -92,11 +95,16 @@ class Panel:
 
 def labelled(panels: Sequence[Panel], heading: Sequence[str] = ()) -> bytes:
     """PNG file of `panels` side by side, each with its title and scale, under lines of `heading`."""
+    return written(_figure(panels, heading), "png", pil_kwargs=_QUICK)
+
+
+def written(figure: Figure, kind: str, **how: Any) -> bytes:
+    """A figure as a file: of the same figure the same bytes."""
     out = io.BytesIO()
     with warnings.catch_warnings():
-        # a letter that the font lacks is drawn as a box
+        # a letter that the font lacks is drawn as a box, in an SVG by the browser
         warnings.filterwarnings("ignore", "Glyph .* missing")
-        _figure(panels, heading).savefig(out, format="png", metadata=_NO_METADATA, pil_kwargs=_QUICK)
+        figure.savefig(out, format=kind, metadata=_NO_METADATA[kind], **how)
     return out.getvalue()
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
 import re
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -35,6 +33,7 @@ from ..verdict.digest import REFERENCE, Digest
 from ..verdict.formatting import listed, plain, span
 from ..verdict.palette import COLOURS
 from .blocks import Figure
+from .picture import written
 
 ID = "\ue001"  # how the id of a curve begins whose words the page's script shows; no name has this letter
 # drawn in these, shown in the page's
@@ -84,13 +83,8 @@ def svg_of(figure: Canvas, alt: str, salt: str, told: Sequence[Sequence[str]] = 
     salt : makes its ids unlike those of all other drawings of a page
     told : of each curve the words of its points, which the page's script shows
     """
-    out = io.StringIO()
-    metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with rc_context({"svg.hashsalt": salt}), warnings.catch_warnings():
-        # a glyph that matplotlib's own font lacks is drawn by the browser's
-        warnings.filterwarnings("ignore", "Glyph .* missing", UserWarning)
-        figure.savefig(out, format="svg", metadata=metadata, transparent=True)
-    svg = out.getvalue()
+    with rc_context({"svg.hashsalt": salt}):
+        svg = written(figure, "svg", transparent=True).decode()
     # bare lines first: of patterns that begin with white space each takes as long as all of these together
     svg = "\n".join(filter(None, map(str.strip, svg[svg.index("<svg") :].split("\n"))))
     head, svg = svg.split(">", 1)

@@ -5,9 +5,6 @@ Arrays in, a picture out: for the page of a run and for a scene that nobody has 
 
 from __future__ import annotations
 
-import io
-import warnings
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,9 +21,10 @@ from matplotlib.patches import Patch
 
 from solver_common.arrays import Array
 
-from ..body.surface_measures import facet_area_vectors
+from ..body.surface_measures import facet_area_vectors, nodal_sum
+from ..body.topology import half_edges
 from ..verdict.formatting import plain, round_below, scale_of
-from .picture import directions, drawn
+from .picture import directions, drawn, written
 from .plots import INK, STYLE, shortened, svg_of
 
 # kind of a constraint -> (what it is called, colour); told apart by colour-blind readers, on light and dark ground
@@ -162,13 +160,9 @@ class Stage:
 
     def outline(self, part: Part) -> tuple[Array, np.ndarray]:
         """(E, 2, 2) edges around a part's facets, as drawn, and (E,) whether they face the viewer."""
-        inside = self.facets(part)
-        edges = np.concatenate([self.triangles[inside][:, [k, (k + 1) % 3]] for k in range(3)])
-        count = Counter(map(tuple, np.sort(edges, axis=1).tolist()))
-        rim = np.array([pair for pair, times in count.items() if times == 1], dtype=int).reshape(-1, 2)
-        normals = np.zeros((len(self.points), 3))
-        for k in range(3):
-            np.add.at(normals, self.triangles[:, k], self.area_vectors)
+        edges = np.sort(half_edges(self.triangles[self.facets(part)]), axis=1)
+        pairs, times = np.unique(edges, axis=0, return_counts=True)
+        rim, normals = pairs[times == 1], nodal_sum(self.area_vectors, self.triangles, len(self.points))
         facing = (normals[rim] @ self.axes[2]).sum(axis=1) > 0
         return self.seen[rim][:, :, :2], facing
 
@@ -189,11 +183,8 @@ class Stage:
 
 def scene_png(stage: Stage, lines: Sequence[str] = (), *, title: str = "", dpi: int = 200) -> bytes:
     """`scene_figure` as a PNG file on white ground."""
-    out = io.BytesIO()
-    with rc_context(STYLE), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # such a letter is drawn as a box
-        scene_figure(stage, lines, title).savefig(out, format="png", dpi=dpi, metadata={"Software": None})
-    return out.getvalue()
+    with rc_context(STYLE):
+        return written(scene_figure(stage, lines, title), "png", dpi=dpi)
 
 
 def scene_svg(stage: Stage, *, alt: str, salt: str, title: str = "") -> Markup:

@@ -25,7 +25,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for_one
 from dataclasses import replace
 from graphlib import TopologicalSorter
-from multiprocessing import resource_tracker
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
@@ -230,7 +230,12 @@ class _Worker:
         with theirs, _environment(PYTHONSAFEPATH="1", **libraries):  # none imports from the working directory
             resource_tracker.ensure_running()  # which lets Ctrl-C through again
             signal.pthread_sigmask(signal.SIG_BLOCK, _OF_A_TERMINAL)  # here and in what this thread starts
-            self.process.start()
+            try:
+                self.process.start()
+            except (ConnectionError, EOFError):  # the server was killed, and may not quite be gone
+                # waits until it is, so that the next start begins a new one
+                forkserver._forkserver._stop()  # type: ignore[attr-defined]
+                self.process.start()
 
     def ask(self, task: str, seconds: float | None) -> str:
         """Its answer to a task. Raises TimeoutError after `seconds`, EOFError or OSError where it died."""
