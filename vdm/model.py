@@ -297,7 +297,7 @@ class Model:
         return self._bending_error
 
     def _of_mesh(self, load: Load, step: Step) -> tuple[float, float]:
-        """What the mesh leaves open of the answer to a load, see `vdm.mesh_error`; NaN of other forms."""
+        """What the mesh leaves open at the load that a step reached, see `vdm.mesh_error`; NaN of other forms."""
         form = self._solved.formulation
         has_no_coarse_body = not isinstance(form, BoundaryFormulation) or form.parameters.ground is not None
         if has_no_coarse_body or not isinstance(self.solver, FactorSolver):
@@ -305,6 +305,8 @@ class Model:
         if self._mesh_error is None:
             self._mesh_error = MeshError(self._solved, self.solver.factor)
         linear = step if isinstance(self.solver, LinearSolver) else None
+        if isinstance(step, DeformedStep) and step.balance is not None:
+            load = step.balance.load
         return self._mesh_error.of(load, linear, shape=isinstance(self.solver, PartsSolver))
 
     def _warm_up(self, loads: Sequence[Load]) -> None:

@@ -43,7 +43,7 @@ def test_a_cut_body_is_drawn_with_the_rotation_and_strain_of_each_part() -> None
     for words in ("part 1: turned 0°, strain 12 %", "part 2: turned 30°, strain 3.4 %"):
         assert words in picture
     assert pictures(None) == pictures(of_node + 1) == []
-    for bar, words in ((0.029, "change the answer by 2.9 %"), (np.nan, "find no balance")):
+    for bar, words in ((0.029, "change the answer by 2.9 %"), (np.nan, "would change is not known")):
         error = {"parts_error": np.full(len(case.load_factors), bar)}
         models = {**case.models, "m": dataclasses.replace(case.models["m"], scalars=at_steps | error)}
         assert words in dict(scene_words(dataclasses.replace(case, models=models), [case]))["Parts"]

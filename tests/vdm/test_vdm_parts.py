@@ -303,6 +303,26 @@ def test_what_the_parts_do_not_follow_is_told() -> None:
     assert_allclose(stretched.displacement[1], stretched.displacement[0], rtol=0.0)
 
 
+def test_errors_are_those_of_the_load_that_was_reached() -> None:
+    """Of a step that failed those of the state that it holds; none where nothing acts, not one of rounding."""
+    points = ROD[0]
+    none, across, along = (
+        at_tip(points, np.array(force)) for force in ((0.0, 0.0, 0.0), (0.0, 0.0, -2e-3), (9e3, 0.0, 0.0))
+    )
+    model = clamped(ROD, share=0.3, parts=2)
+    found = model.solve([across, along, none])
+    assert [status.ok for status in found.status] == [True, False, True]
+    for name in ("mesh_error", "shape_error", "parts_error"):
+        known, reached, unloaded = found.scalars[name]
+        assert reached == pytest.approx(known, rel=1e-6)
+        assert np.isnan(unloaded)
+    assert "open" not in found.status[2].message
+    at_rest = model.solve([along]).scalars
+    assert at_rest["load_factor"] == 0.0
+    assert np.isnan(at_rest["parts_error"]).all()
+    assert "mesh_error" not in at_rest
+
+
 def test_a_body_that_is_strained_too_far_is_not_cut_for_it() -> None:
     """Where no balance is found and its parts hardly turn, more parts are as strained; where they turn it is."""
     model = clamped(ROD, share=0.3)

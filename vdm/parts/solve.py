@@ -158,13 +158,15 @@ class PartsSolver:
         """What is told of a step beside its displacement: see `Parts.scalars`, and `parts_error`.
 
         That is the distance to the answer of twice the parts under the load that was reached, over its size, by
-        area; NaN where that answer was not found.
+        area; NaN where that answer was not found, and where nothing acts or moves.
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return {}
         found = self.body.scalars(step.balance)
         if self._finer is None:
             return found
+        if self._size(step.balance.load) == 0.0:
+            return {**found, "parts_error": np.nan}
         self._finer_step = self._finer.step(step.balance.load, self._finer_step)
         if not self._finer_step.status.ok:
             return {**found, "parts_error": np.nan}
@@ -172,15 +174,14 @@ class PartsSolver:
         other = self._finer_step.displacement
         size = float(np.sqrt((area * other**2).sum()))
         apart = float(np.sqrt((area * (other - step.displacement) ** 2).sum()))
-        return {**found, "parts_error": 0.0 if size == 0.0 else apart / size}
+        return {**found, "parts_error": apart / size if size > 0.0 else np.nan}
 
     def _largest(self, loads: Sequence[Load]) -> Load:
-        def size(load: Load) -> float:
-            return float(
-                np.linalg.norm(self._whole.force(load)) + np.linalg.norm(self._whole.held_unknown(load))
-            )
+        return max(loads, key=self._size)
 
-        return max(loads, key=size)
+    def _size(self, load: Load) -> float:
+        held = self._whole.held_unknown(load)
+        return float(np.linalg.norm(self._whole.force(load)) + np.linalg.norm(held))
 
     def _unturned(self, load: Load) -> Load:
         """The load in the frame of its supports: what turns with them does not bend the body."""
