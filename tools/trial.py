@@ -114,10 +114,15 @@ def parts(arguments: Sequence[str]) -> Iterator[list[str]]:
         text["geometry"] = {**text["geometry"], "path": f"liver{surface.suffix}"}
         (BODIES / f"liver{surface.suffix}").write_bytes(surface.read_bytes())
         yield from (row("liver, 4 kPa", "weight", case) for case in _run("liver", tomli_w.dumps(text)))
-    for case in _run("lumps", tomli_w.dumps(OWN["lumps"])):
-        (lump,) = case.study.inclusions or ()
-        ratio = lump.youngs_modulus / case.study.tissue.youngs_modulus
-        yield row(f"lump, {ratio:g} times as stiff", "contact", case, "bem")
+    yield from lumps()
+
+
+def lumps() -> Iterator[list[str]]:
+    """The lines of a ball with and without lumps."""
+    for k, (name, inside) in enumerate(OWN["lumpy"].items()):
+        text = merged(OWN["lumps"], {"study": {"name": f"lumps-{k}"}, **inside})
+        (case,) = _run(f"lumps-{k}", tomli_w.dumps(text))
+        yield row(name, "contact", case, "bem")
 
 
 def parts_page(lines: Sequence[Sequence[str]]) -> str:
