@@ -91,7 +91,7 @@ def test_thick_sphere(poisson_ratio: float, verified: Verified) -> None:
 
 
 @a_sphere
-@pytest.mark.parametrize("poisson_ratio", [0.3, 0.4999])
+@pytest.mark.parametrize("poisson_ratio", [pytest.param(0.3, marks=pytest.mark.slow), 0.4999])
 def test_thick_sphere_without_its_geometry_error(poisson_ratio: float, verified: Verified) -> None:
     exact = ThickSphere(1.0, 2.0, 1.0, poisson_ratio, 1.0)
     record = Convergence(f"L2 of u without geometry error, nu = {poisson_ratio}", 3.0, 4e-4)
@@ -122,7 +122,9 @@ def _quarter_cylinder(n: int) -> Body:
 
 
 @a_cylinder
-@pytest.mark.parametrize("poisson_ratio", [0.49, 0.499, 0.4999, 0.5])
+@pytest.mark.parametrize(
+    "poisson_ratio", [*(pytest.param(nu, marks=pytest.mark.slow) for nu in (0.49, 0.499)), 0.4999, 0.5]
+)
 def test_thick_cylinder(poisson_ratio: float, verified: Verified) -> None:
     """MacNeal and Harder's: a quarter of one slice between rollers."""
     exact = ThickCylinder(3.0, 9.0, 1000.0, poisson_ratio, 1.0)
