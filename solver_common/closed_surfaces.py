@@ -10,16 +10,23 @@ _ROWS = 512  # of places, taken at once
 _ROUNDING = 1e-12  # of the longest edge cubed
 
 
+def pieces(count: int, first: Index, second: Index) -> Index:
+    """(count,) the lowest number that each of `count` things is joined with, by pairs `first` and `second`."""
+    lowest = np.arange(count)
+    while True:
+        ends = lowest[first], lowest[second]
+        if np.array_equal(*ends):
+            return lowest
+        np.minimum.at(lowest, np.maximum(*ends), np.minimum(*ends))
+        while not np.array_equal(lowest, further := lowest[lowest]):
+            lowest = further
+
+
 def closed_pieces(triangles: Index) -> Index:
     """(F,) the connected piece of each facet, numbered from 0 without a gap."""
-    from scipy import sparse  # slow to load, and who only reads a mesh finds no pieces here
-    from scipy.sparse.csgraph import connected_components
-
-    nodes, local = np.unique(triangles, return_inverse=True)
-    local = local.reshape(-1, 3)
-    ends = local[:, :2].ravel(), local[:, 1:].ravel()
-    links = sparse.coo_array((np.ones(len(ends[0])), ends), shape=(len(nodes),) * 2)
-    return np.asarray(connected_components(links, directed=False)[1][local[:, 0]], np.int64)
+    joined = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+    lowest = pieces(int(triangles.max()) + 1, *joined.T)
+    return np.unique(lowest[triangles[:, 0]], return_inverse=True)[1].ravel()
 
 
 def solid_angles(places: Array, points: Array, triangles: Index) -> Array:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
+from solver_common.closed_surfaces import closed_pieces, pieces
 
 from ..study.errors import MeshError
-from .surface_measures import enclosed_volume, facet_areas, pieces
+from .surface_measures import enclosed_volume, facet_areas
 from .topology import (
     check_finite,
     consistent_orientation,
@@ -126,11 +127,9 @@ def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask
 
 def _largest_piece(points: Array, faces: Index) -> Index:
     """The facets of that piece which has the most area."""
-    joined = np.concatenate([faces[:, :2], faces[:, 1:]])
-    label = pieces(len(points), joined[:, 0], joined[:, 1])[faces[:, 0]]
-    names, piece = np.unique(label, return_inverse=True)
-    area = np.bincount(piece.ravel(), weights=facet_areas(points, faces), minlength=len(names))
-    largest: Index = faces[piece.ravel() == area.argmax()]
+    piece = closed_pieces(faces)
+    area = np.bincount(piece, weights=facet_areas(points, faces))
+    largest: Index = faces[piece == area.argmax()]
     return largest
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
+from solver_common.closed_surfaces import closed_pieces
 
 _MOST_NORMALS = 300  # of facets that an extent is measured along
 
@@ -51,26 +52,13 @@ def enclosed_volumes(points: Array, triangles: Index) -> Array:
     return np.asarray(parts.sum(axis=1) / 6.0)
 
 
-def pieces(count: int, first: Index, second: Index) -> Index:
-    """(count,) the lowest number that each of `count` things is joined with, by pairs `first` and `second`."""
-    lowest = np.arange(count)
-    while True:
-        ends = lowest[first], lowest[second]
-        if np.array_equal(*ends):
-            return lowest
-        np.minimum.at(lowest, np.maximum(*ends), np.minimum(*ends))
-        while not np.array_equal(lowest, further := lowest[lowest]):
-            lowest = further
-
-
 def shells(points: Array, triangles: Index) -> Index:
     """(F,) the closed piece of each facet of an oriented surface: 0 the outer one, then the walls of cavities."""
-    joined = np.concatenate([triangles[:, :2], triangles[:, 1:]])
-    _, piece = np.unique(pieces(len(points), *joined.T)[triangles[:, 0]], return_inverse=True)
-    volumes = piece_volumes(points, triangles, piece.ravel(), int(piece.max()) + 1)
+    piece = closed_pieces(triangles)
+    volumes = piece_volumes(points, triangles, piece, int(piece.max()) + 1)
     place = np.empty(len(volumes), dtype=np.int64)
     place[np.argsort(-np.sign(volumes), kind="stable")] = np.arange(len(volumes))
-    return np.asarray(place[piece.ravel()])
+    return np.asarray(place[piece])
 
 
 def piece_volumes(points: Array, triangles: Index, piece: Index, count: int) -> Array:

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
-from solver_common.closed_surfaces import solid_angles
+from solver_common.closed_surfaces import pieces, solid_angles
 
 from ..study.errors import MeshError
 from .mesh import Mesh
-from .surface_measures import enclosed_volume, facet_areas, piece_volumes, pieces
+from .surface_measures import enclosed_volume, facet_areas, piece_volumes
 
 _MOST_TOLD = 3  # holes, or pieces
 _LARGEST = 1e100  # coordinate

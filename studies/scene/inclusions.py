@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
-from solver_common.closed_surfaces import solid_angles
+from solver_common.closed_surfaces import pieces, solid_angles
 
 from ..body.mesh import Mesh
-from ..body.surface_measures import pieces
 from ..body.topology import OUTWARD_FACES
 from ..study.schema import Inclusion, Study, Tissue
 from .regions import SceneError, holds, in_group

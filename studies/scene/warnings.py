@@ -8,8 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
+from solver_common.closed_surfaces import pieces
 
-from ..body.surface_measures import facet_area_vectors, pieces
+from ..body.surface_measures import facet_area_vectors
 from ..body.topology import half_edges
 from ..study.errors import Finding, plural
 from ..study.loads import Constraint
