@@ -144,7 +144,7 @@ def test_the_house_has_no_more_floors() -> None:
 
 def test_the_solver_libraries_share_one_small_package_and_nothing_else() -> None:
     assert (
-        sum(len(path.read_text().splitlines()) for path in FILES if path.parts[-2] == "solver_common") < 330
+        sum(len(path.read_text().splitlines()) for path in FILES if path.parts[-2] == "solver_common") < 400
     )
     for path in (path for path in FILES if not _name(path).startswith("studies/")):
         own = {_name(path).split("/")[0], "solver_common"}
