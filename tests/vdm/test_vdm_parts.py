@@ -122,6 +122,29 @@ def test_loops_that_no_cap_fills_are_refused() -> None:
     assert "too small to be cut" in small.refused
 
 
+def test_a_star_is_cut_as_far_as_caps_fit_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seven arms of a facet each: some planes leave loops that no cap fills, of others caps cross the surface."""
+    told: list[str] = []
+
+    def watched(*given: Any) -> tuple[Array, Array]:
+        try:
+            return cap(*given)
+        except CutError as error:
+            told.append(f"{error}")
+            raise
+
+    monkeypatch.setattr("vdm.parts.cut.cap", watched)
+    x, triangles = icosphere(3)
+    dents = (x[:, :2] ** 2).sum(axis=1) * (1.0 - np.cos(7.0 * np.arctan2(x[:, 1], x[:, 0])))
+    points = x * (1.0 - 0.45 * dents)[:, None]
+    found = cut(points, triangles, 8)
+    assert 1 < len(found.parts) < 8
+    assert found.refused == "caps of the cut cross the surface"
+    assert "loops of the cut cannot be paired" in told
+    volumes = [volume(found.points, part) for part in found.parts]
+    assert_allclose(sum(volumes), SurfaceMesh(points, triangles).volume, rtol=1e-12, atol=0.0)
+
+
 def bent(model: Model, parts: int) -> tuple[Parts, Array]:
     """The body in parts, and a bend of it by 40 degrees with some noise."""
     body = Parts(model.problem, parts)
