@@ -50,13 +50,13 @@ def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
     return found
 
 
-def crossings(points: Array, triangles: Index) -> Index:
-    """Pairs (P, 2) of facets that cut through each other.
+def crossings(points: Array, triangles: Index, since: int = 0) -> Index:
+    """Pairs (P, 2) of facets that cut through each other, of which one at least has the number `since` or more.
 
     Candidates are facets whose circumscribed balls about their centroids touch; a pair counts where an edge
     of one passes through the other or its rim.
     """
-    first, second = _candidates(points, triangles)
+    first, second = _candidates(points, triangles, since)
     cut = np.zeros(len(first), dtype=bool)
     for one, other in ((first, second), (second, first)):
         a, b, c = np.moveaxis(points[triangles[other]], 1, 0)
@@ -67,13 +67,14 @@ def crossings(points: Array, triangles: Index) -> Index:
     return np.stack([first[cut], second[cut]], axis=1)
 
 
-def _candidates(points: Array, triangles: Index) -> tuple[Index, Index]:
+def _candidates(points: Array, triangles: Index, since: int) -> tuple[Index, Index]:
     from scipy.spatial import KDTree  # slow to load, and who only reads a mesh needs none
 
     corners = points[triangles]
     centroids = corners.mean(axis=1)
     radii = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
     pairs = KDTree(centroids).query_pairs(2.0 * radii.max(), output_type="ndarray")
+    pairs = pairs[pairs.max(axis=1) >= since]
     distance = np.linalg.norm(centroids[pairs[:, 0]] - centroids[pairs[:, 1]], axis=1)
     pairs = pairs[distance <= radii[pairs].sum(axis=1)]
     pairs = pairs[np.lexsort(pairs.T[::-1])].astype(np.int64)

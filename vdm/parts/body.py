@@ -561,7 +561,7 @@ def _rim(surface: SurfaceMesh, held: Mask) -> Mask | None:
 
 def pieces_of(surface: SurfaceMesh) -> list[Index]:
     """Nodes of `FINEST` pieces of a surface, and of caps between them."""
-    return list(map(np.unique, cut(surface.points, surface.triangles, FINEST, crossing=True).parts))
+    return list(map(np.unique, cut(surface.points, surface.triangles, FINEST, is_rough=True).parts))
 
 
 def parts_wanted(surface: SurfaceMesh, pieces: list[Index], displacement: Array) -> int:

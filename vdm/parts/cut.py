@@ -41,13 +41,13 @@ class Cut:
 
 
 def cut(
-    points: Array, triangles: Index, count: int, apart: Mask | None = None, *, crossing: bool = False
+    points: Array, triangles: Index, count: int, apart: Mask | None = None, *, is_rough: bool = False
 ) -> Cut:
     """Cut the closed surface of N nodes into at least `count` parts, the largest first.
 
     A fork may fall into more. Where no plane serves, fewer are made, and `Cut.refused` says why. `apart` (N,) marks
-    nodes that a cut keeps two edges away from where another plane allows it: rims of supports and of loads. Caps
-    may be `crossing` the surface where only its pieces are looked at: that none does is most of the work.
+    nodes that a cut keeps two edges away from where another plane allows it: rims of supports and of loads. Of a
+    rough cut only the pieces of the surface are looked at: its caps are rough and may cross the surface.
     """
     parts, refused = [triangles], ""
     surface = np.asarray(points, np.float64)
@@ -56,7 +56,7 @@ def cut(
         order = sorted(range(len(parts)), key=lambda k: -len(parts[k]))
         for largest in (k for k in order if k not in final):
             try:
-                surface, pieces = _halved(surface, parts[largest], apart, crossing)
+                surface, pieces = _halved(surface, parts[largest], apart, is_rough)
             except CutError as error:
                 refused = f"{error}"
                 parts[largest], final = parts[largest], final | {largest}
@@ -69,7 +69,7 @@ def cut(
     return Cut(surface, tuple(parts))
 
 
-def _halved(points: Array, triangles: Index, apart: Mask | None, crossing: bool) -> tuple[Array, list[Index]]:
+def _halved(points: Array, triangles: Index, apart: Mask | None, is_rough: bool) -> tuple[Array, list[Index]]:
     """The points with those of the caps, and the pieces of a part cut across its longest axis.
 
     Raises
@@ -108,7 +108,7 @@ def _halved(points: Array, triangles: Index, apart: Mask | None, crossing: bool)
 
     for loops, labels in borders():
         try:
-            return _closed(points, triangles, labels, loops, normal, crossing)
+            return _closed(points, triangles, labels, loops, normal, is_rough)
         except CutError as error:
             refused.append(error)
     raise refused[0]
@@ -124,15 +124,15 @@ def _near(triangles: Index, loops: list[Index], apart: Mask, n: int) -> bool:
 
 
 def _closed(
-    points: Array, triangles: Index, labels: Mask, loops: list[Index], normal: Array, crossing: bool
+    points: Array, triangles: Index, labels: Mask, loops: list[Index], normal: Array, is_rough: bool
 ) -> tuple[Array, list[Index]]:
-    new, facets = cap(points, loops, normal)
+    new, facets = cap(points, loops, normal, is_rough=is_rough)
     grown = np.vstack([points, new])
     border = np.concatenate([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops])
     n = len(points)
     if (_keys(facets, n) - _keys(border, n)) & _keys(triangles, n):
         raise CutError("caps of the cut have an edge of the surface")
-    if not crossing:
+    if not is_rough:
         _check_inside(grown, triangles, border, facets, n)
     sides = (np.vstack([triangles[~labels], facets]), np.vstack([triangles[labels], facets[:, ::-1]]))
     pieces = [piece for side in sides for piece in _bodies(grown, side)]
@@ -146,8 +146,8 @@ def _check_inside(points: Array, triangles: Index, border: Index, facets: Index,
     centres = points[facets].mean(axis=1)
     one_of_each = np.unique(closed_pieces(facets), return_index=True)[1]
     inside = solid_angles(centres[one_of_each], points, triangles) > 0.5
-    crossing = crossings(points, np.vstack([triangles, facets])) >= len(triangles)
-    if crossing.any() or not inside.all():
+    crossing = crossings(points, np.vstack([triangles, facets]), since=len(triangles))
+    if len(crossing) or not inside.all():
         raise CutError("caps of the cut cross the surface")
     inner = points[np.unique(facets[facets >= n])]
     apart = ROOM * np.median(np.linalg.norm(points[border[:, 0]] - points[border[:, 1]], axis=1))
