@@ -126,9 +126,9 @@ def test_a_star_is_cut_as_far_as_caps_fit_it(monkeypatch: pytest.MonkeyPatch) ->
     """Seven arms of a facet each: some planes leave loops that no cap fills, of others caps cross the surface."""
     told: list[str] = []
 
-    def watched(*given: Any) -> tuple[Array, Array]:
+    def watched(*given: Any, **how: bool) -> tuple[Array, Array]:
         try:
-            return cap(*given)
+            return cap(*given, **how)
         except CutError as error:
             told.append(f"{error}")
             raise
