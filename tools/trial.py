@@ -304,11 +304,13 @@ def frames(_: Sequence[str]) -> Iterator[list[str]]:
         ),
     }
     tissue = study.tissue
+    mu = tissue.youngs_modulus / (2.0 * (1.0 + tissue.poisson_ratio))
+    material = Parameters(shear_modulus=mu, poisson_ratio=tissue.poisson_ratio, parts=study.vdm.parts)
     for name, (gravity, loads) in histories.items():
         model = Model(
             mesh.surface_points,
             mesh.triangles,
-            Parameters(shear_modulus=tissue.youngs_modulus / 3.0, parts=study.vdm.parts),
+            material,
             formulation="bem",
             solver="nonlinear",
             fixed=scene.fixed,

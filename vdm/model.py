@@ -140,10 +140,10 @@ class Model:
         if not isinstance(parameters, Parameters):
             parameters = parameters(self.surface)
         at_large = solver in ("nonlinear", "quasi-linear")
-        if formulation in ("bem", "bem-sparse") and at_large and not parameters.is_filled:
+        if formulation in ("bem", "bem-sparse") and solver == "quasi-linear" and not parameters.is_filled:
             raise ParameterError(
-                f"the {solver} solver needs a fluid that keeps the volume, not a Poisson's ratio of"
-                f' {parameters.poisson_ratio:g}; take compressibility = "fluid" or the linear solver'
+                "the quasi-linear solver needs a fluid that keeps the volume, not a Poisson's ratio of"
+                f" {parameters.poisson_ratio:g}; take the nonlinear solver"
             )
         if parameters.lumps is not None and (formulation != "bem" or at_large):
             raise ParameterError("lumps inside need the bem formulation and a linear solver")

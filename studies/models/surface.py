@@ -174,9 +174,7 @@ def _model(
         scene.anisotropy,
         scene.parameters,
     )
-    # left out it is a fluid's at large displacements alone
-    filling = given.get("compressibility", "fluid" if solver == "nonlinear" else "tissue")
-    own_ratio = base in ("bem", "bem-sparse") and filling == "tissue"
+    own_ratio = base in ("bem", "bem-sparse") and given.get("compressibility") != "fluid"
     chosen: dict[str, Any] = {
         name: value for name, value in given.items() if name not in _NOT_OF_THE_MATERIAL
     }
@@ -313,7 +311,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="30",
+        version="31",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
@@ -324,7 +322,7 @@ for _registered in (
     _surface(
         name="bem-sparse",
         family=Family.PEERS,
-        version="18",
+        version="19",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility", "parts"),

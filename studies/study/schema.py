@@ -161,8 +161,7 @@ class VdmTable(Table):
         le=64,
     )
     compressibility: Literal["tissue", "fluid"] | None = Key(
-        "boundary elements: the tissue's own Poisson's ratio, or a fluid that keeps the volume;"
-        " left out: tissue, of the nonlinear solver fluid",
+        "boundary elements: the tissue's own Poisson's ratio, or a fluid that keeps the volume; left out: tissue",
         None,
     )
     foundation: Foundation | None = Key("k, stiffness against normal displacement per area", None)

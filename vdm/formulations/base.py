@@ -195,6 +195,11 @@ class Formulation(ABC):
         """(m, N, d) generalised forces of m known ones, given on any mesh (N + k nodes) as (m, N + k, 3)."""
         return np.stack([self.carried(force) for force in forces(self.resolved)])
 
+    @property
+    def pressed(self) -> Array:
+        """(N, d) generalised force of a unit pressure from inside."""
+        return self.columns.first
+
     def pressure_force(self, pressure: Array) -> Array:
         """Generalised force (N, d) of a pressure (N,) that pushes outward from inside."""
         force: Array = self.columns.first * pressure[:, None]

@@ -69,8 +69,12 @@ class _Acting:
     away : (n_p, 3) displacement in each part's frame
     energy : of the parts [J]
     on_surface : (N, 3) contact on the whole surface [N]
-    weight : (n,) pressure of the weight at all nodes [Pa]
-    rise : (3,) its slope [Pa/m]
+    weight : (n_p,) pressure of the weight, about the middle of each part [Pa]
+    rise : (m, 3) its slope [Pa/m]
+    datum : (m,) at those middles, above the highest point of the body at rest [Pa]
+    gradient : (n_p, 3) of what a pressure changes: of the volumes and what `Swelling` has beyond them
+    inward : (n_p, 3) in each part's frame: forces of that, and of its squeeze under its weight [N]
+    squeezed : (m + c,) volumes of that squeeze [m^3]
     filled : (n_p, 3, k) gradient of the volumes of the cavities that a fluid fills
     """
 
@@ -81,6 +85,10 @@ class _Acting:
     on_surface: Array
     weight: Array
     rise: Array
+    datum: Array
+    gradient: Array
+    inward: Array
+    squeezed: Array
     filled: Array
 
 
@@ -211,6 +219,15 @@ class Parts:
         self._sum, self._join = _summing(self._nodes, n), _summing(self._places, self._n_shared)
         held_at_rest = self._cavities(self._joint.at(np.zeros((len(self._nodes), 3))))[0]
         self.volumes = np.append([part.form.surface.volume for part in self.parts], held_at_rest)
+        swellings = [part.swelling for part in self.parts]
+        self._beyond = np.concatenate([one.beyond for one in swellings])
+        self.give = np.append([one.give for one in swellings], np.zeros(self._n_filled))
+        # of a unit slope of a part's weight: forces that its squeeze takes (n, 3, 3), and volume (3,)
+        self._squeeze = [
+            _squeeze(part)
+            for part in self.parts
+            if part.swelling.give and problem.support.gravity is not None
+        ]
         self.wanted = 1
         self._turns: Array | None = None
         self._slope: _Slope | None = None
@@ -232,29 +249,59 @@ class Parts:
         placed = [state.positions[span] @ q.T for span, q in zip(self._spans, turns, strict=True)]
         away = np.concatenate(placed) - self._joint.rest
         forces = np.concatenate([part.form.swollen_force(away[span]) for part, span in self._each()])
-        internal = np.asarray(self._sum @ turned_back(forces, turns, state, self._spans))
         held, filled = self._cavities(state)
-        pushed = pressure[self._part][:, None] * state.area_vectors + filled @ pressure[m:]
+        volumes = state.volumes(self._first_facet)
+        grown = np.append(volumes, held) - self.volumes
+        grown[:m] += np.add.reduceat(np.einsum("nc,nc->n", self._beyond, away), self._first)
+        energy = 0.5 * float(np.vdot(away, forces))
+        energy += 0.5 * float((grown[:m] ** 2 / np.where(self.give[:m], self.give[:m], np.inf)).sum())
+        rise, weight, datum = self._weight(load, state, volumes)
+        inward, squeezed = self._inward(pressure, rise, turns)
+        gap = (grown + self.give * pressure - squeezed) / self.volumes
+        internal = np.asarray(self._sum @ turned_back(forces + inward, turns, state, self._spans))
+        pushed = (pressure[self._part] + weight)[:, None] * state.area_vectors + filled @ pressure[m:]
         applied = np.asarray(self._sum @ pushed)
-        gap = np.append(state.volumes(self._first_facet), held) / self.volumes - 1.0
         outer = problem.body.at(x[:n_surface], turns[0] if m == 1 else turns[self.owner])
         # of the caps the two sides cancel
         outer.area_vectors = np.asarray(self._sum @ state.area_vectors)[:n_surface]
-        on_surface = problem.deformed_force(load, outer, outer.area_vectors)
+        on_surface = problem.deformed_force(replace(load, weight=0.0), outer, outer.area_vectors)
         applied[:n_surface] += on_surface
         if load.dead_force is not None:
             on_surface = on_surface - load.dead_force
         if self._ground is not None:
             internal[:n_surface] += (self._ground @ x[:n_surface].reshape(-1)).reshape(-1, 3)
         scale = max(float(np.linalg.norm(force[self.free])) for force in (internal, applied))
-        rise, weight = np.zeros(3), np.zeros(len(x))
-        if problem.support.gravity is not None:
-            rise = load.weight * problem.support.density * problem.support.gravity
-            weight = (self.rest + x) @ rise - float((problem.body.rest @ rise).min())
-            on_surface = on_surface - weight[:n_surface, None] * outer.area_vectors
-        energy = 0.5 * float(np.vdot(away, forces))
-        acting = _Acting(state, turns, away, energy, on_surface, weight, rise, filled)
+        gradient = state.area_vectors
+        if self.give.any():
+            placed = [self._beyond[span] @ q for span, q in zip(self._spans, turns, strict=True)]
+            gradient = gradient + np.concatenate(placed)
+        acting = _Acting(
+            state, turns, away, energy, on_surface, weight, rise, datum, gradient, inward, squeezed, filled
+        )
         return Balance(load, x, pressure, gap, internal - applied, scale, acting)
+
+    def _weight(self, load: Load, state: DeformedSurface, volumes: Array) -> tuple[Array, Array, Array]:
+        """Slope, pressure and datum of the weight of a state, see `_Acting`: a part keeps its mass."""
+        m, problem = self.n_parts, self.problem
+        support = problem.support
+        if support.gravity is None:
+            return np.zeros((m, 3)), np.zeros(len(self._nodes)), np.zeros(m)
+        slope = load.weight * support.density * support.gravity
+        sizes = np.diff(np.append(self._first, len(self._nodes)))
+        middles = np.add.reduceat(state.positions, self._first) / sizes[:, None]
+        rise = slope * (self.volumes[:m] / volumes)[:, None]
+        weight = np.einsum("nc,nc->n", state.positions - middles[self._part], rise[self._part])
+        places = middles + self._joint.origin[self._first] - problem.body.origin
+        return rise, weight, places @ slope - float((problem.body.rest @ slope).min())
+
+    def _inward(self, pressure: Array, rise: Array, turns: Array) -> tuple[Array, Array]:
+        """See `_Acting`; and by how much weight alone squeezes the volumes of parts and cavities (m + c,) [m^3]."""
+        inward, squeezed = -pressure[self._part][:, None] * self._beyond, np.zeros(len(pressure))
+        for e, (pulled, flux) in enumerate(self._squeeze):
+            slope = turns[e] @ rise[e]
+            inward[self._spans[e]] -= pulled @ slope
+            squeezed[e] = flux @ slope
+        return inward, squeezed
 
     def _each(self) -> Iterator[tuple[Part, slice]]:
         """Parts, and where their nodes are among those of all."""
@@ -287,7 +334,6 @@ class Parts:
         turn: Array,  # noqa: ARG002 - each part has a frame of its own
     ) -> tuple[Array, Array]:
         """As in `Large`."""
-        acting = balance.parts
         slope = self._slope_for(balance, lacking, gap)
         kept = self._rows_of_volumes
         target = np.zeros(len(slope.system))
@@ -304,22 +350,19 @@ class Parts:
         push = np.asarray(np.linalg.solve(slope.system, target - first @ slope.border), np.float64)
         moved = self._moved(slope.inner, slope.joined, first[:, None], inside[:, None])[:, 0]
         change = (moved + slope.answers @ push).reshape(-1, 3)
-        closing, more = self._closing(balance, change, gap)
-        change = change + closing
+        closing, more = self._closing(balance, change, push[kept], gap)
         if lacking.any():
             self._before = balance
-        # the pressure of the weight rises where a part goes down as one
-        sunk = [part.areas @ change[part.nodes] @ acting.rise for part in self.parts]
-        return change[self.free], push[kept] + more - np.append(sunk, np.zeros(self._n_filled))
+        return (change + closing)[self.free], push[kept] + more
 
-    def closing(self, balance: Balance, change: Array) -> tuple[Array, Array]:
+    def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:
         """As in `Large`."""
         moved = np.zeros_like(balance.x)
         moved[self.free] = change
-        closing, push = self._closing(balance, moved, balance.gap)
+        closing, push = self._closing(balance, moved, pushed, balance.gap)
         return closing[self.free], push
 
-    def _closing(self, balance: Balance, change: Array, gap: Array) -> tuple[Array, Array]:
+    def _closing(self, balance: Balance, change: Array, pushed: Array, gap: Array) -> tuple[Array, Array]:
         """What more (n, 3) and which pressures close gaps by the gradients of the state's own volumes.
 
         A slope that is kept, and a mixture, close those of other states.
@@ -327,9 +370,10 @@ class Parts:
         slope, acting = self._slope, balance.parts
         assert slope is not None
         at_parts, missed = change[self._nodes], np.zeros(len(slope.system))
-        flux = np.add.reduceat(np.einsum("nc,nc->n", acting.state.area_vectors, at_parts), self._first)
+        flux = np.add.reduceat(np.einsum("nc,nc->n", acting.gradient, at_parts), self._first)
         kept = self._rows_of_volumes
         missed[kept] = -gap * self.volumes - np.append(flux, np.einsum("nck,nc->k", acting.filled, at_parts))
+        missed[kept] -= self.give * pushed
         push = np.linalg.solve(slope.system, missed)
         return (slope.answers @ push).reshape(-1, 3), np.asarray(push[kept])
 
@@ -384,7 +428,7 @@ class Parts:
         for e, ((part, i, _), q, at) in enumerate(zip(self._unknowns, turns, columns, strict=True)):
             turning, own = self._turning(e, q, balance, away[self._spans[e]])
             filled = np.einsum("nck,dc->ndk", acting.filled[self._spans[e]], q)
-            pressed = (acting.state.area_vectors[self._spans[e]] @ q.T)[:, :, None]
+            pressed = (acting.gradient[self._spans[e]] @ q.T)[:, :, None]
             pushes = np.concatenate([pressed, turning, filled], axis=2)
             within = pushes[part.inner].reshape(-1, len(at))
             pushed.append(within)
@@ -392,8 +436,9 @@ class Parts:
             inside[i, at] = answered
             corner[np.ix_(at, at)] += within.T @ answered
             corner[np.ix_(at[1:k], at[1:k])] += own
-            if not (part.inner | part.shared).any():  # it is held all over, and its pressure is at rest
-                corner[k * e, k * e] = 1.0
+            corner[k * e, k * e] += self.give[e]
+            if not (part.inner | part.shared).any() and not self.give[e]:
+                corner[k * e, k * e] = 1.0  # it is held all over, and its pressure is at rest
             joined = pushes[part.shared] - (part.follows.T @ within).reshape(-1, 3, len(at))
             border[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", joined, q)
         flat = border.reshape(3 * n, size)
@@ -433,12 +478,12 @@ class Parts:
         turned = (y @ TURNED).reshape(-1, 3, 3)
         stressed = part.form.swollen_forces(np.concatenate([away[:, :, None], turned], axis=2))
         vectors = acting.state.area_vectors[span] @ q.T
-        pushed = (balance.pressure[number] + acting.weight[part.nodes])[:, None] * vectors
+        pushed = (balance.pressure[number] + acting.weight[span])[:, None] * vectors - acting.inward[span]
         own = part.nodes[part.owns]
         pushed[part.owns] += acting.on_surface[own] @ q.T
         pushed += acting.filled[span] @ balance.pressure[self.n_parts :] @ q.T
         slope = ((stressed[:, :, 0] - pushed) @ TURNED).reshape(-1, 3, 3) - stressed[:, :, 1:]
-        slope -= vectors[:, :, None] * ((q @ acting.rise) @ turned)[:, None, :]
+        slope -= vectors[:, :, None] * ((q @ acting.rise[number]) @ turned)[:, None, :]
         met = turned.reshape(-1, 3).T @ slope.reshape(-1, 3)
         inverse = np.zeros((6, 6))
         inverse[:3, 3:] = inverse[3:, :3] = np.eye(3)
@@ -468,11 +513,12 @@ class Parts:
 
     def mean_pressure(self, balance: Balance) -> float:
         """By volume [Pa]: a part's is that of the tractions, as in one that is not swollen."""
-        volumes, shares = self.volumes[: self.n_parts], 0.0
+        m, acting = self.n_parts, balance.parts
+        volumes, shares = self.volumes[:m], 0.0
         for part, span in self._each():
-            assert part.form.swelling is not None
-            shares += part.form.swelling.pressure(balance.parts.away[span]) / 3.0
-        return float((balance.pressure[: self.n_parts] @ volumes + shares) / volumes.sum())
+            shares += part.swelling.pressure(acting.away[span]) / 3.0
+        above = np.where(self.give[:m], 0.0, acting.datum)  # a fluid's pressure is that at the datum
+        return float(((balance.pressure[:m] - above) @ volumes + shares) / volumes.sum())
 
     def scalars(self, balance: Balance) -> dict[str, float]:
         """`parts`, `part_rotation` the largest between two [rad], `part_strain` the largest within one.
@@ -490,7 +536,10 @@ class Parts:
 
     def _strains(self, balance: Balance) -> list[float]:
         """Of each part, see `surface_strain`."""
-        return [surface_strain(part.body.at(balance.x[part.nodes])) for part in self.parts]
+        return [
+            surface_strain(part.body.at(balance.x[part.nodes]), part.form.poisson_ratio)
+            for part in self.parts
+        ]
 
     def reserved(self, status: Status, balance: Balance) -> Status:
         """The status, with what the parts do not follow: too few of them, strain within one."""
@@ -536,6 +585,16 @@ def turned_block(matrix: Array, q: Array, p: Array) -> Array:
     n = len(matrix)
     half = (matrix.reshape(n, n // 3, 3) @ q).reshape(n, n)
     return (half.T.reshape(n, n // 3, 3) @ p).reshape(n, n)
+
+
+def _squeeze(part: Part) -> tuple[Array, Array]:
+    """What the squeeze of a part under the pressures x, y, z about its nodes' mean takes, over their slopes.
+
+    Forces (n, 3, 3) [N/(Pa/m)] without its swelling, and the volume (3,) [m^3/(Pa/m)].
+    """
+    moved = part.form.squeezed()
+    swells = part.swelling.beyond + part.form.surface.area_vectors
+    return part.form.swollen_forces(moved), np.einsum("nc,nck->k", swells, moved)
 
 
 def _spans(sizes: Index) -> list[slice]:
@@ -584,10 +643,10 @@ def _small_rotation(surface: SurfaceMesh, nodes: Index, displacement: Array) -> 
     return np.asarray(np.linalg.solve(inertia, moved))
 
 
-def surface_strain(state: DeformedSurface) -> float:
+def surface_strain(state: DeformedSurface, poisson_ratio: float) -> float:
     """Largest principal stretch of the facets, less 1, that 99 % of the area stays below.
 
-    Of an incompressible body: the thickness takes what the area loses.
+    Under a surface without load the thickness takes what Poisson's ratio says, at 1/2 what the area loses.
     """
     corners = state.body.surface.triangles
     sides = [
@@ -596,7 +655,7 @@ def surface_strain(state: DeformedSurface) -> float:
     ]
     before, after = (side @ side.transpose(0, 2, 1) for side in sides)
     stretches = np.sqrt(np.clip(np.linalg.eigvals(np.linalg.solve(before, after)).real, 1e-300, None))
-    third = 1.0 / stretches.prod(axis=1)
+    third = stretches.prod(axis=1) ** (-poisson_ratio / (1.0 - poisson_ratio))
     strain = np.abs(np.column_stack([stretches, third]) - 1.0).max(axis=1)
     order = np.argsort(strain)
     areas = np.cumsum(state.body.surface.facet_areas[order])

@@ -1,12 +1,14 @@
 """A body in parts at small displacements: their stiffnesses add up, and the nodes inside follow.
 
-With A the sum of the parts' S_e at all nodes, and H_e their area vectors less the share V_e / V of the body's,
-nodes c of the caps and pressures q of all parts but the last follow from what the surface o does,
+With A the sum of the parts' S_e at all nodes, each of which swells at no cost, and H_e their area vectors less the
+share V_e / V of the body's, nodes c of the caps and pressures q of all parts but the last follow from what the
+surface o does,
 
 `A_cc u_c - H_c q = -A_co u_o`, `H_c^T u_c = -H_o^T u_o`: parts swell as the body does,
 
-and `A_oo u_o + A_oc u_c - H_o q` is the force on the surface. No matrix of the whole body is made: caps are few,
-and free nodes are eliminated part by part.
+and `A_oo u_o + A_oc u_c - H_o q` is the force on the surface. Of compressible parts each has a pressure, H_e is b
+and `H_c^T u_c + a q = -H_o^T u_o` (`vdm.peers.bem.Swelling`): no more than `S = S_0 + b b^T / a`. No matrix of the
+whole body is made: caps are few, and free nodes are eliminated part by part.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from vdm.surface import SurfaceMesh
 
 
 class JoinedFormulation(BoundaryFormulation):
-    """A `BoundaryFormulation` of an incompressible body by those of its parts, each swelling at no cost."""
+    """A `BoundaryFormulation` of a body by those of its parts."""
 
     has_matrix = False
 
@@ -47,11 +49,17 @@ class JoinedFormulation(BoundaryFormulation):
             on = np.flatnonzero(part.nodes >= n_surface)
             here, there = (dofs(nodes) for nodes in (on, part.nodes[on] - n_surface))
             own[np.ix_(there, there)] += part.form.swollen_block(here, here)
-        shares = volumes / volumes.sum()
-        self._apart = (columns - columns.sum(axis=2, keepdims=True) * shares)[:, :, :-1]
-        pressed = self._apart[n_surface:].reshape(len(own), len(parts) - 1)
+        if self.is_incompressible:
+            shares = volumes / volumes.sum()
+            self._apart = (columns - columns.sum(axis=2, keepdims=True) * shares)[:, :, :-1]
+            self._give = np.zeros((len(parts) - 1,) * 2)
+        else:
+            for e, part in enumerate(parts):
+                columns[part.nodes, :, e] += part.swelling.beyond
+            self._apart, self._give = columns, np.diag([part.swelling.give for part in parts])
+        pressed = self._apart[n_surface:].reshape(len(own), -1)
         self._caps = linalg.lu_factor(
-            np.block([[own, -pressed], [pressed.T, np.zeros((pressed.shape[1],) * 2)]]), check_finite=False
+            np.block([[own, -pressed], [pressed.T, self._give]]), check_finite=False
         )
 
     def _assemble(self, held: Mask) -> None:
@@ -70,6 +78,18 @@ class JoinedFormulation(BoundaryFormulation):
         apart = np.zeros((self._apart.shape[2], len(given[0])))
         return np.asarray(self._condensed(force, apart).transpose(2, 0, 1))
 
+    def pressure_force(self, pressure: Array) -> Array:
+        """As in `BoundaryFormulation`; caps and compressible parts answer it too."""
+        if self.is_incompressible:
+            return super().pressure_force(pressure)
+        linear = np.column_stack([self.surface.points, np.ones(len(pressure))])
+        fitted = np.linalg.lstsq(linear, pressure, rcond=None)[0]
+        force = np.zeros((len(self._shared_nodes), 3))
+        for part in self._parts:
+            own = part.form.surface.points @ fitted[:3] + fitted[3]
+            force[part.nodes] += part.form.pressure_force(own)
+        return self._condensed(force[:, :, None], np.zeros((len(self._give), 1)))[:, :, 0]
+
     def elastic_force(self, x: Array) -> Array:
         return self.elastic_forces(x[:, :, None])[:, :, 0]
 
@@ -83,7 +103,7 @@ class JoinedFormulation(BoundaryFormulation):
     def _condensed(self, force: Array, swells: Array) -> Array:
         """Forces (N, 3, k) on the surface of those (n, 3, k) at all nodes, once the caps have given way to theirs.
 
-        `swells` (p, k) is by how much parts swell apart, which they do not then.
+        `swells` (p, k) is by how much parts swell apart, which they do not then, or as `give` lets them.
         """
         n, k = self.surface.n_nodes, force.shape[2]
         right = np.vstack([force[n:].reshape(-1, k), swells])
@@ -108,7 +128,7 @@ class JoinedFormulation(BoundaryFormulation):
     def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
         if factorise is not Cholesky:
             raise SolverError(DENSE)
-        return JoinedFactor(self._parts, self._shared_nodes, self._joined, self._apart, free)
+        return JoinedFactor(self._parts, self._shared_nodes, self._joined, self._apart, self._give, free)
 
     def diagonal(self) -> Array:
         """Without what the caps give way."""
@@ -123,16 +143,18 @@ class JoinedFormulation(BoundaryFormulation):
 class JoinedFactor:
     """Of all parts at rest over the free nodes: what parts share, then each part's inner nodes.
 
-    Pressures that keep the parts' shares of the volume are a border of their own.
+    Pressures of the parts are a border of their own.
     """
 
-    def __init__(self, parts: Sequence[Part], shared: Mask, joined: Factor, apart: Array, free: Mask) -> None:
+    def __init__(
+        self, parts: Sequence[Part], shared: Mask, joined: Factor, apart: Array, give: Array, free: Mask
+    ) -> None:
         self._parts, self._joined, self._shared = parts, joined, np.repeat(shared, 3)
         self._unknowns = np.zeros(3 * len(shared), np.bool_)
         self._unknowns[: 3 * len(free)] = np.repeat(free, 3)
         self._columns = apart.reshape(len(self._unknowns), -1)
         self._answers = self._answer(self._columns)
-        self._schur = self._columns.T @ self._answers
+        self._schur = self._columns.T @ self._answers + give
 
     def solve(self, right_hand_side: Array) -> Array:
         """Solution of (n_free 3,) or (n_free 3, m) right-hand sides."""

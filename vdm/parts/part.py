@@ -9,7 +9,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 from vdm.deformed import DeformableSurface
 from vdm.formulations.base import Factor
-from vdm.peers.bem import BoundaryFormulation, DenseFactor, SwollenFactor
+from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFactor
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,12 @@ class Part:
     block: Factor
     follows: Array
     carried: Array
+
+    @property
+    def swelling(self) -> Swelling:
+        """Of its form."""
+        assert self.form.swelling is not None
+        return self.form.swelling
 
 
 def condensed(

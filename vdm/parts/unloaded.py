@@ -89,7 +89,11 @@ class Unloaded(Parts):
             springs = self._ground @ (self._sag + x)[:n_surface].reshape(-1)
             lacking[:n_surface] -= springs.reshape(-1, 3)
         held, filled = self._cavities(rest)
-        gap = np.append(rest.volumes(self._first_facet), held) / self.volumes - 1.0
+        grown = np.append(rest.volumes(self._first_facet), held)
+        # the row of the state under the load, by its volumes, with the sign and at the volumes of this rest shape
+        beyond = np.einsum("nc,nc->n", self._beyond, seen.parts.away + further)
+        grown[: self.n_parts] -= np.add.reduceat(beyond, self._first)
+        gap = (grown - self.give * pressure + seen.parts.squeezed) / self.volumes - 1.0
         return Balance(
             load, x, pressure, gap, lacking, seen.scale, _Resting(seen, rest, back, placed, filled)
         )
@@ -148,7 +152,7 @@ class Unloaded(Parts):
             change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ g.T
         return change[self.free], push[kept]
 
-    def closing(self, balance: Balance, change: Array) -> tuple[Array, Array]:
+    def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:  # noqa: ARG002
         """As in `Large`: the last correction closes them."""
         return np.zeros_like(change), np.zeros_like(balance.gap)
 
@@ -167,17 +171,18 @@ class Unloaded(Parts):
             np.einsum("kb,nab->nak", inverse_inertia(arms.T @ other), (own @ TURNED).reshape(-1, 3, 3))
             for arms, other, own in ((levers, y, levers), (weighted, z, weighted))
         )
-        pressed = (acting.state.area_vectors[span] @ q.T)[:, :, None]
+        pressed = (acting.gradient[span] @ q.T)[:, :, None]
         filled = np.einsum("nck,dc->ndk", acting.filled[span], q)
         pushing = np.concatenate([pressed, -stressed[:, :, :3], -follows, filled], axis=2)
-        pressed = (resting.rest.area_vectors[span] @ g)[:, :, None]
+        pressed = (resting.rest.area_vectors[span] @ g + self._beyond[span])[:, :, None]
         filled = np.einsum("nck,cd->ndk", resting.filled[span], g)
         reading = np.concatenate([pressed, turning, stressed[:, :, 3:], filled], axis=2)
         own = np.zeros((BORDER, BORDER))
+        own[0, 0] = -self.give[number]
         own[1:, 1:] = -np.eye(6)
         own[4:, 1:4] = -np.einsum("nck,ncl->kl", turned[:, :, 3:], stressed[:, :, :3])
-        if not (part.inner | part.shared).any():  # it is held all over, and its pressure is at rest
-            own[0, 0] = 1.0
+        if not (part.inner | part.shared).any() and not self.give[number]:
+            own[0, 0] = 1.0  # it is held all over, and its pressure is at rest
         return pushing, reading, own
 
     def energy(self, balance: Balance) -> float:

@@ -51,12 +51,11 @@ class BoundaryFormulation(DisplacementFormulation):
 
     Dense, (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
-    At large displacements, of an incompressible body, it is one of the parts of `vdm.parts.body`. S turns with the
-    rotation Q that best fits the part's surface:
-    `E = 1/2 w.S w`, w = (positions) Q^T - (rest), Q from `sum a_i |x_i - X_i Q|^2`, areas a_i and arms X_i at rest.
-    As Q turns with the positions, the force is `Q^T S w` less `lambda x (a_i X_i Q)`: forces that take off the
-    moment of the first term, so that the internal force has neither a resultant nor a moment. S has its `swelling`
-    there, where that is set.
+    At large displacements it is one of the parts of `vdm.parts.body`. S turns with the rotation Q that best fits
+    the part's surface: `E = 1/2 w.S w`, w = (positions) Q^T - (rest), Q from `sum a_i |x_i - X_i Q|^2`, areas a_i
+    and arms X_i at rest. As Q turns with the positions, the force is `Q^T S w` less `lambda x (a_i X_i Q)`: forces
+    that take off the moment of the first term, so that the internal force has neither a resultant nor a moment. S
+    has its `swelling` there, where that is set.
 
     Raises
     ------
@@ -211,6 +210,10 @@ class BoundaryFormulation(DisplacementFormulation):
             _ = self.matrix  # what follows at the rims is known with it
         return self._rims.carried(force)
 
+    @property
+    def pressed(self) -> Array:
+        return self.surface.area_vectors
+
     def pressure_force(self, pressure: Array) -> Array:
         """Force (N, 3) of weight, given as the hydrostatic pressure (N,) that would carry it.
 
@@ -224,9 +227,15 @@ class BoundaryFormulation(DisplacementFormulation):
         arms = self.surface.points - self.surface.points.mean(axis=0)
         fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
         slope, mean = fitted[:3], fitted[3]
-        moved = (arms @ slope)[:, None] * arms - 0.5 * np.square(arms).sum(axis=1)[:, None] * slope
-        moved += mean * arms
-        return force - self.elastic_force(moved) / (3.0 * self.bulk_modulus)
+        moved = self.squeezed() @ slope - mean * arms / (3.0 * self.bulk_modulus)
+        return force + self.elastic_force(moved)
+
+    def squeezed(self) -> Array:
+        """(N, 3, 3) displacements of the pressures x, y, z about the nodes' mean, over these [m/(Pa/m)]."""
+        arms = self.surface.points - self.surface.points.mean(axis=0)
+        half = 0.5 * np.square(arms).sum(axis=1)[:, None, None] * np.eye(3)
+        found: Array = (half - arms[:, :, None] * arms[:, None, :]) / (3.0 * self.bulk_modulus)
+        return found
 
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
         turn, unturned = self.unturned(state)
@@ -261,31 +270,42 @@ class BoundaryFormulation(DisplacementFormulation):
 
 @dataclass(frozen=True)
 class Swelling:
-    """What makes a swelling of an incompressible body cost nothing: `P^T S P - S`, of rank 2.
+    """What makes a uniform swelling X of a body cost nothing, `S_0 = S + U C U^T`, and what it costs by volume.
 
-    Small strain keeps the flux `g.w` of a displacement w, the polyhedron its volume: where something turns within
-    the body they differ, by a term of second order. No incompressible solid moves so, and what S says of it hangs
-    on its null vector. `P = I - X g^T / (3 V)` takes off a uniform swelling X, with `g.X = 3 V`. Where g.w is zero
-    nothing changes.
+    Small strain knows the flux `g.w` of a displacement w, the polyhedron its volume V: where something turns within
+    the body they differ, by a term of second order. What S says of a flux is said of the volume instead. With
+    `g.X = 3 V`:
 
-    `P^T S P = S + U C U^T` with `U = [g / 3V, S X]`, `C = [[X.S X, -1], [-1, 0]]`.
+    - nu = 1/2: what S says of it hangs on its null vector. `S_0 = P^T S P`, `P = I - X g^T / (3 V)`,
+      `U = [g / 3V, S X]`, `C = [[X.S X, -1], [-1, 0]]`. Where g.w is zero nothing changes. V is kept.
+    - less: `S_0 = S - S X X^T S / (X.S X)`, not negative, and `S = S_0 + b b^T / a` with `b = 3 V S X / (X.S X)`,
+      `a = (3 V)^2 / (X.S X)`. X makes a uniform pressure, so that b is g, but for quadrature and what a coarse body
+      does not resolve: `b = g + v`. The energy is `1/2 w.S_0 w + (V - V_0 + v.w)^2 / (2 a)`.
 
     Attributes
     ----------
-    vectors : (3N, 2) U
-    core : (2, 2) C
+    vectors : (3N, 2) or (3N, 1) U
+    core : (2, 2) or (1, 1) C
+    beyond : (N, 3) v [m^2], zero at nu = 1/2
+    give : a, volume per pressure [m^3/Pa], zero at nu = 1/2
     """
 
     vectors: Array
     core: Array
+    beyond: Array
+    give: float
 
     @classmethod
     def of(cls, form: BoundaryFormulation) -> Swelling:
         """That of a body."""
         arms = form.surface.points - form.surface.points.mean(axis=0)
         pulled, g = form.elastic_force(arms), form.surface.area_vectors
-        vectors = np.stack([g / np.vdot(g, arms), pulled], axis=2).reshape(-1, 2)
-        return cls(vectors, np.array([[np.vdot(arms, pulled), -1.0], [-1.0, 0.0]]))
+        work, flux = float(np.vdot(arms, pulled)), float(np.vdot(g, arms))
+        if form.is_incompressible:
+            vectors = np.stack([g / flux, pulled], axis=2).reshape(-1, 2)
+            return cls(vectors, np.array([[work, -1.0], [-1.0, 0.0]]), np.zeros_like(g), 0.0)
+        beyond = (flux / work) * pulled - g
+        return cls(pulled.reshape(-1, 1), np.array([[-1.0 / work]]), beyond, flux**2 / work)
 
     def forces(self, x: Array) -> Array:
         """Of displacements (N, 3) or (N, 3, k), of their shape."""
@@ -297,8 +317,8 @@ class Swelling:
         return np.asarray((self.vectors[rows] @ self.core) @ self.vectors[columns].T)
 
     def pressure(self, x: Array) -> float:
-        """3 V times what a pressure beside S is above one beside `P^T S P`, in a displacement (N, 3) [Pa m^3]."""
-        return float(self.vectors[:, 1] @ x.reshape(-1))
+        """3 V times what a pressure beside S is above one beside `S_0`, in a displacement (N, 3) [Pa m^3]."""
+        return 0.0 if self.give else float(self.vectors[:, 1] @ x.reshape(-1))
 
 
 class SwollenFactor:

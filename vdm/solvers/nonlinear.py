@@ -90,8 +90,11 @@ class Large(Protocol):
         """
         ...
 
-    def closing(self, balance: Balance, change: Array) -> tuple[Array, Array]:
-        """What closes the gaps of a state to first order after a change (n_free, d) that was mixed."""
+    def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:
+        """What closes the gaps of a state to first order after changes that were mixed.
+
+        Of x (n_free, d) and of the pressures (m,).
+        """
         ...
 
     def energy(self, balance: Balance) -> float:
@@ -143,7 +146,7 @@ class Whole:
         change, border = self.factor.solve_updated(force, target, row)
         return turned(change.reshape(len(nodes), -1), turn), border[:1]
 
-    def closing(self, balance: Balance, change: Array) -> tuple[Array, Array]:
+    def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:  # noqa: ARG002
         return np.zeros_like(change), np.zeros_like(balance.gap)  # the last correction closes it
 
     def energy(self, balance: Balance) -> float:
@@ -229,11 +232,12 @@ class NonlinearSolver:
         self.reach = FURTHEST * size
         n, d = problem.formulation.surface.n_nodes, problem.formulation.components
         answer = np.zeros((n, d))
-        answer[problem.free] = self.factor.response.first
+        pressed = problem.formulation.pressed[problem.free]
+        answer[problem.free] = self.factor.block.solve(pressed.reshape(-1)).reshape(pressed.shape)
         # the pressure is mixed beside displacements: in units that make its column as long as theirs
         self._unit = float(np.linalg.norm(answer))
         moved = float(np.abs(problem.formulation.displacement(answer)).max())
-        push = float(np.linalg.norm(problem.formulation.columns.first[problem.free]))
+        push = float(np.linalg.norm(pressed))
         self.smallest_force = SMALLEST_MOTION * size / moved * push
         self._rounding = self._moved_by_rounding(size)
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)), weight=0.0)
@@ -412,9 +416,10 @@ class NonlinearSolver:
                 iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
                 mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
                 change = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn) - x[nodes]
-                closing, pushed = body.closing(balance, change)
+                pushed = mixed[-len(pressure) :] / unit - pressure
+                closing, more = body.closing(balance, change, pushed)
                 x[nodes] += change + closing
-                pressure = mixed[-len(pressure) :] / unit + pushed
+                pressure = pressure + pushed + more
                 continue
             x[nodes] += change
             pressure = pressure + pushed
