@@ -317,9 +317,9 @@ class FiniteStrainProblem:
                     penalty[step] = contact.energy(x, depth) * self.shear_modulus * length**3
                     area[step] = contact.area(x, depth) * length**2
                     inside[step] = contact.inside(x, depth) * length
+            record.end()
         finally:
             self._newton.contact = None
-        record.end()
         solution = record.solution(self.seconds_setup, self._told(), {})
         status = [told_sunk(*step) for step in zip(solution.status, inside, depths, strict=True)]
         solution = replace(solution, status=tuple(status))

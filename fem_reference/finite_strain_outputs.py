@@ -28,9 +28,10 @@ OUTPUTS = {
 _FAILURES = {
     "not-converged": "Newton's method did not converge",
     "inverted": "a tetrahedron would turn inside out",
-    "passed": "the indenter goes through the surface without touching it",
+    "passed": "contact lost: the indenter goes through the surface without touching it",
     "linear-solver": "the tangent system could not be solved, as where a body buckles",
 }
+_TOUCHING = "push it in less far, or use a larger radius or a finer mesh where it touches"
 _REMEDY = "load the body less, or use a finer mesh where it deforms most"
 _SOFTER = 'load the body less, or bear more of its surface on soft springs (`elastic`, `direction = "full"`)'
 _SNAPS = "load the body less, or give a displacement in place of the load"
@@ -125,14 +126,16 @@ class Record:
         iterations, residual = len(attempt.residuals) - 1, attempt.residuals[-1]
         told = ENDED.format(_FAILURES[attempt.code], reached, number, iterations, RESIDUAL.format(residual))
         u = self._converged.state.displacement
-        if attempt.code == "passed" or not u.any():
-            return Status(attempt.code, told, _REMEDY)
+        if not u.any():
+            return Status(attempt.code, told, _TOUCHING if attempt.code == "passed" else _REMEDY)
         worst = most_compressed(self._mesh, u * self._mesh.mean_edge)
         volume, place = self.assembly.least_volume_ratio(u)
         told += (
             f"; before it the surface at {_at(worst.place)} is compressed to {worst.least:.3f} of its length, and"
             f" the least volume ratio J is {volume:.3f} at {_at(place)}"
         )
+        if attempt.code == "passed":
+            return Status(attempt.code, told, _TOUCHING)
         across = np.sqrt(worst.other)
         if worst.plane < CREASE:
             told += f"; creasing: a free surface creases there below {CREASE / across:.2f}"
