@@ -259,7 +259,8 @@ def how_to_reproduce(digest: Digest) -> Section:
     """The commands, the study as it was written, and what it was run with."""
     plan, name = digest.run.plan, digest.run.study.study.name
     words = plan.get("command") or ["run", name]
-    directory = words[words.index("--out") + 1] if "--out" in words else f"results/runs/{name}"
+    given = words[words.index("--out") + 1] if "--out" in words else "results/runs"
+    directory = given if "--out" in words and words[0] != "bench" else f"{given}/{name}"  # bench: one each
     commands = [words, ["report", directory]]
     blocks: list[Block] = [
         note("reproduce", kind="plain"),

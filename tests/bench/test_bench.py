@@ -64,12 +64,14 @@ HELD: dict[str, Any] = {
 def test_a_benchmark_is_a_run_of_the_sizes_that_the_body_stands(tmp_path: Path) -> None:
     """A ball of 100 mm has no mesh with edges of 56 or 73 mm; models answer the first case of the study."""
     (tmp_path / "ball.toml").write_text(STUDY.format(size=28, fraction=0.7))
-    done = vdmbench_process("bench", "ball.toml", "--json", cwd=tmp_path)  # which takes times
+    # which takes times
+    done = vdmbench_process("bench", "ball.toml", "--out", "there", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert re.findall("left out (.*) times the mesh_size: ", done.stderr) == ["2.6", "2"]
     (report,) = json.loads(done.stdout)["reports"]
     run = read_run((tmp_path / report).parent)
     assert run.study.study.name == "ball-bench"
+    assert "vdmbench report there/ball-bench<" in (tmp_path / report).read_text()
     assert len(run.cases) == 2
     found = [(row["model"], int(row["nodes"])) for row in json.loads(done.stdout)["rows"]]
     nodes = [len(case.points) for case in run.cases]

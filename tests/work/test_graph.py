@@ -15,6 +15,8 @@ from tests.in_process import HerePool
 from vdmbench import models
 from vdmbench.measures import metrics
 from vdmbench.store.cases import read_case
+from vdmbench.store.run_directory import write_plan
+from vdmbench.work.explain import require_own, summary
 from vdmbench.work.pool import local_pool, run_tasks
 from vdmbench.work.run import Event, Options, _run_missing
 from vdmbench.work.tasks import tasks_of
@@ -233,3 +235,9 @@ def test_a_run_says_before_it_begins_how_much_there_is_to_tell(tmp_path: Path, c
     _run_missing(plan, tasks_of(plan, plan.cases), Options(jobs=1), events.append, HerePool())
     assert [event.kind for event in events].index("begun") == 0
     assert events[0].count == sum(event.kind in ("done", "failed", "stopped") for event in events) > 4
+
+
+def test_a_body_that_bench_brings_itself_does_not_ask_whose_surface_is_there(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path / "run", tmp_path / "cache")
+    write_plan(plan.directory, summary(plan))
+    require_own(dataclasses.replace(plan, command=("bench", "--surface", "ball.obj")))
