@@ -275,7 +275,7 @@ for _registered in (
     _surface(
         name="vdm-paper",
         family=Family.PRINTED,
-        version="5",
+        version="6",
         solvers=PRINTED,
         # the nonlinear solver's areas, and with them its springs, grow with the deformation
         takes={FIBRES: PRINTED, SPRINGS: tuple(one for one in SOLVERS if one not in ("minres", "nonlinear"))},
@@ -286,7 +286,7 @@ for _registered in (
     _surface(
         name="vdm-consistent",
         family=Family.DERIVED,
-        version="6",
+        version="7",
         solvers=SOLVERS,
         takes=dict.fromkeys((SPRINGS, FIBRES), SOLVERS),
         parameters=("foundation", "surface_tension", "penalty", "tolerance"),
@@ -296,7 +296,7 @@ for _registered in (
     _surface(
         name="vdm-vector",
         family=Family.DERIVED,
-        version="9",
+        version="10",
         solvers=SOLVERS,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD, FIBRES), SOLVERS),
         parameters=("foundation", "surface_tension", "stretch_stiffness", "rotation", "penalty"),
@@ -334,7 +334,7 @@ for _registered in (
         name="mass-spring",
         family=Family.PEERS,
         takes=dict.fromkeys((SPRINGS, FULL, DEAD), SOLVERS),
-        version="7",
+        version="8",
         solvers=SOLVERS,
         parameters=("shear_modulus", "penalty"),
         of_solvers={"penalty": DIRECT},

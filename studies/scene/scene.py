@@ -205,7 +205,10 @@ def build_scene(
             told = f"region {name!r} selects no node of the mesh; enlarge it or take a smaller mesh_size"
             raise SceneError(f"{told}; {body_extent(mesh)}", "regions", name)
         on = PlacedConstraint(constraint, place, regions[name], mesh, masks[name])
-        acting.append((on, constraint.act(on)))
+        acts = constraint.act(on)
+        if acts.pushed is not None and constraint.extra != "indenter":  # whose answers were added up
+            raise SceneError(f"the kind {constraint.kind!r} has to declare extra = \"indenter\"", *place)
+        acting.append((on, acts))
     fixed, constrained, prescribed = _held(acting, len(mesh.surface_nodes))
     _check_apart(study, masks, fixed, constrained, mesh.triangles)
     pressure = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))

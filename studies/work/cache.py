@@ -44,7 +44,7 @@ def read_answer(path: Path) -> ModelResult | None:
     stored = read_arrays(path)
     if stored is None:
         return None
-    arrays = {name: stored[name] for name in (*STEPS, "scalars", "part_of_node")}
+    arrays = {name: stored[name] for name in (*STEPS, "scalars", "point_fields", "part_of_node")}
     return typed(ModelResult, stored, **arrays)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -121,11 +122,18 @@ def _size(mesh: PlannedMesh) -> Size | None:
 
 
 def _held(plan: Plan, asked: Mapping[str, Any]) -> float:
-    """Bytes that a set-up declares to take; 0 where nobody knows."""
+    """Bytes that a set-up declares to take; 0 where nobody knows. Raises ValueError where its formula fails."""
     (model, solver), size = models.find(asked["name"]), _size(plan.meshes[asked["case"]["mesh"]])
     if model.memory is None or size is None:
         return 0.0
-    return float(model.memory(size.refined(asked["level"]), solver))
+    try:
+        found = float(model.memory(size.refined(asked["level"]), solver))
+        if not 0.0 <= found < math.inf:
+            raise ValueError(f"it says {found:g} B")
+    except (Exception, SystemExit) as error:
+        told = f"{asked['name']}: memory(size, solver) fails: {error!r}; mend it, or declare no memory"
+        raise ValueError(told) from error
+    return found
 
 
 def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:

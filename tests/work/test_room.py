@@ -48,3 +48,21 @@ def test_more_memory_than_there_is_is_doubted_and_five_times_as_much_refused(
     if ends_with:
         code, said = ends("run", lambda *_: times * 25e9)
         assert (code, told in said) == (ends_with, True), said
+
+
+@pytest.mark.parametrize(
+    ("formula", "why"),
+    [
+        (lambda *_: 1.0 / 0.0, "ZeroDivisionError"),
+        (lambda *_: exit(0), "SystemExit(0)"),
+        (lambda *_: float("nan"), "it says nan B"),
+    ],
+)
+def test_a_formula_that_fails_is_told_by_the_name_of_its_model(
+    ends: Callable[[str, Any], tuple[int, str]], formula: Any, why: str
+) -> None:
+    for verb in ("check", "plan", "run"):
+        code, said = ends(verb, formula)
+        assert code == 2, said
+        assert "theirs: memory(size, solver) fails: " in said
+        assert why in said

@@ -1,9 +1,9 @@
 """A body in parts at large displacements: boundary elements with a rotation each, joined at their cuts.
 
 Part e has the stiffness S_e of its own closed surface, which turns with the rotation Q_e that best fits it
-(`vdm.peers.bem.BoundaryFormulation`), and a pressure p_e that keeps its volume. Small strain within a part, large
-rotation between them: the corotational idea (Felippa and Haugen, Comput. Methods Appl. Mech. Engrg. 194, 2005) with
-boundary elements as elements.
+(`vdm.peers.bem.BoundaryFormulation`), and a pressure p_e that keeps its volume at nu = 1/2. Small strain within a
+part, large rotation between them: the corotational idea (Felippa and Haugen, Comput. Methods Appl. Mech. Engrg.
+194, 2005) with boundary elements as elements.
 
 The slope of a part, in its frame, is S_e and what its turning adds. With positions y and levers a X about their
 middle, forces f = S_e w less those that turn with it (pressures, contact), e_k the axes:
@@ -517,7 +517,9 @@ class Parts:
         volumes, shares = self.volumes[:m], 0.0
         for part, span in self._each():
             shares += part.swelling.pressure(acting.away[span]) / 3.0
-        above = np.where(self.give[:m], 0.0, acting.datum)  # a fluid's pressure is that at the datum
+        # a fluid's pressure is that at the datum; a squeeze by weight is none of the tractions'
+        give = self.give[:m]
+        above = np.where(give > 0.0, acting.squeezed[:m] / np.where(give > 0.0, give, 1.0), acting.datum)
         return float(((balance.pressure[:m] - above) @ volumes + shares) / volumes.sum())
 
     def scalars(self, balance: Balance) -> dict[str, float]:

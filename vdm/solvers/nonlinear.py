@@ -200,9 +200,10 @@ class DeformedStep(Step):
 
 
 class NonlinearSolver:
-    """Finds x and the pressures with `internal(x) - sum p column(x) - force(x) = 0` and each V(x) = V0 exactly.
+    """Finds x and the pressures with `internal(x) - sum p column(x) - force(x) = 0` and each V(x) = V0.
 
-    V is the volume that the body keeps: the polyhedron's, but of the printed form.
+    V is the volume that the body keeps: the polyhedron's, but of the printed form. A part with nu < 1/2 gives
+    way by its pressure over kappa (`vdm.parts.body`).
 
     The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
     slope of the state itself, or near the balance, Anderson acceleration mixes the corrections, also by what the
