@@ -270,6 +270,19 @@ def test_a_compressible_body_hangs_from_its_weight_as_the_linear_form_says() -> 
         assert_allclose(found.displacement[0], linear, rtol=0.0, atol=left * size)
 
 
+@pytest.mark.parametrize("parts", [1, 4])
+def test_the_pressure_of_a_compressible_body_is_what_its_volume_lost(parts: int) -> None:
+    """Under weight too, where the middle of its nodes is not that of its volume."""
+    points, triangles = box(counts=(14, 3, 3), size=(LENGTH, SIDE, SIDE))
+    points[:, 0] = LENGTH * (points[:, 0] / LENGTH) ** 1.6
+    weight = {"density": 1e3, "gravity": (-2.0, 0.0, -1.0)}
+    model = clamped((points, triangles), 0.2, parts=parts, poisson_ratio=0.3, **weight)
+    found = model.solve([Load(np.zeros(len(points)))])
+    rest, now = (SurfaceMesh(at, triangles).volume for at in (points, points + found.displacement[0]))
+    bulk_modulus = E / (3.0 * (1.0 - 2.0 * 0.3))
+    assert found.fluid_pressure[0] == pytest.approx(bulk_modulus * (1.0 - now / rest), rel=1e-3)
+
+
 def test_answers_go_over_into_those_of_the_fluid() -> None:
     """At large rotations, where one that knew the flux alone would be stiffer by the square of what turns."""
     force = at_tip(BAR[0], np.array([0.0, 0.0, -E * SIDE**4 / 12.0 / LENGTH**2]))

@@ -208,8 +208,9 @@ class NonlinearSolver:
     The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
     slope of the state itself, or near the balance, Anderson acceleration mixes the corrections, also by what the
     last loads told of the slope. A last shift closes the volumes to rounding. A load step starts from the last
-    converged one, and is halved where it fails (`solver_common.substeps`). One that failed holds the last balance
-    on the way to its load, and the next step starts where it did. Where the held nodes are moved, the body starts
+    converged one. Where it fails it is tried again with all corrections mixed, then halved
+    (`solver_common.substeps`). One that failed holds the last balance on the way to its load, and the next step
+    starts where it did. Where the held nodes are moved, the body starts
     carried along as they are, best fit by a rigid motion.
 
     Parameters
@@ -268,14 +269,20 @@ class NonlinearSolver:
             self._anderson = Anderson(HISTORY)
         last = self._path[-1]
         x, pressure = self._ahead(load)
-        substeps, iterations, used, why = Substeps(), 0, 0, ""
+        substeps, iterations, used, why, mixes = Substeps(), 0, 0, "", not self.body.has_slope
         balance: Balance | None = None
         while (reached := substeps.reached) < 1.0:
             target = substeps.target
-            found, used, why = self._solve(_between(last.load, load, target), x, pressure, (reached, target))
+            found, used, why = self._solve(
+                _between(last.load, load, target), x, pressure, (reached, target), mixes
+            )
             iterations += used
             if found is None or used > HISTORY:  # on so bent a path the slopes of here mislead further on
                 self._anderson = Anderson(HISTORY)
+            if found is None and not mixes:  # a slope misses what strains within a part
+                mixes = True
+                continue
+            mixes = not self.body.has_slope
             if found is None:
                 if reached == 0.0:
                     x, pressure = last.x, last.pressure
@@ -384,7 +391,7 @@ class NonlinearSolver:
         return carried(self.body.rest, self.problem.held_nodes, x, held)
 
     def _solve(
-        self, load: Load, x: Array, pressure: Array, shares: tuple[float, float]
+        self, load: Load, x: Array, pressure: Array, shares: tuple[float, float], mixes: bool
     ) -> tuple[Balance | None, int, str]:
         """The balance if it was found, iterations, and where they had come to."""
         nodes, body, unit = self._free_nodes, self.body, self._unit
@@ -413,7 +420,7 @@ class NonlinearSolver:
                 return self._close_volume(load, balance, turn), iteration, left
             change, pushed = body.correction(balance, balance.lacking, balance.gap, turn)
             x = x.copy()
-            if not body.has_slope or residual < NEAR * balance.scale:
+            if mixes or residual < NEAR * balance.scale:
                 iterate = np.append(turned(x[nodes], turn.T).reshape(-1), pressure * unit)
                 mixed = anderson.next(iterate, np.append(turned(change, turn.T).reshape(-1), pushed * unit))
                 change = turned(mixed[: -len(pressure)].reshape(-1, x.shape[1]), turn) - x[nodes]
