@@ -254,7 +254,7 @@ class NonlinearSolver:
 
     def begin_near(self, load: Load, x: Array, pressure: Array) -> None:
         """Start histories from the balance under a load that is found from a state near it, if one is."""
-        found, _, _ = self._solve(load, x, pressure, (0.0, 1.0))
+        found, _, _ = self._solve(load, x, pressure, (0.0, 1.0), mixes=not self.body.has_slope)
         if found is not None:
             self.begin_at(load, found.x, found.pressure)
 
