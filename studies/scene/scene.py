@@ -207,7 +207,9 @@ def build_scene(
         on = PlacedConstraint(constraint, place, regions[name], mesh, masks[name])
         acts = constraint.act(on)
         if acts.pushed is not None and constraint.extra != "indenter":  # whose answers were added up
-            raise SceneError(f'the kind {constraint.kind!r} has to have the property `extra`, "indenter"', *place)
+            raise SceneError(
+                f'the kind {constraint.kind!r} has to have the property `extra`, "indenter"', *place
+            )
         acting.append((on, acts))
     fixed, constrained, prescribed = _held(acting, len(mesh.surface_nodes))
     _check_apart(study, masks, fixed, constrained, mesh.triangles)
