@@ -210,8 +210,8 @@ class NonlinearSolver:
     last loads told of the slope. A last shift closes the volumes to rounding. A load step starts from the last
     converged one. Where it fails it is tried again with all corrections mixed, then halved
     (`solver_common.substeps`). One that failed holds the last balance on the way to its load, and the next step
-    starts where it did. Where the held nodes are moved, the body starts
-    carried along as they are, best fit by a rigid motion.
+    starts where it did. Where the held nodes are moved, the body starts carried along as they are, best fit by a
+    rigid motion.
 
     Parameters
     ----------
@@ -393,7 +393,10 @@ class NonlinearSolver:
     def _solve(
         self, load: Load, x: Array, pressure: Array, shares: tuple[float, float], mixes: bool
     ) -> tuple[Balance | None, int, str]:
-        """The balance if it was found, iterations, and where they had come to."""
+        """The balance if it was found, iterations, and where they had come to.
+
+        mixes : whether all corrections are mixed, not only those near the balance
+        """
         nodes, body, unit = self._free_nodes, self.body, self._unit
         held = self._held(load)
         x = self.carried(x, held)[0]
