@@ -38,7 +38,7 @@ class Limit:
     state: (
         str  # "found", "unresolved", or why not: "beyond" what is tried, "model-stopped", "reference-stopped"
     )
-    load: float  # value of the key that is raised, in its unit; of a limit not found the largest that was reached
+    load: float  # times the study's own loads; of a limit not found the largest that was reached
     bar: float  # relative uncertainty of `load` from the reference's own error; NaN where not measured
     indentation: float  # of the reference at `load` [m]; NaN where nothing is in contact
     strain: float  # principal Green-Lagrange strain of the reference at `load` that 95 % of the volume stays below
@@ -54,15 +54,6 @@ class ModelLimits:
     structural_error: float  # e0, relative L2 displacement error in the limit of a small load
     structural_bar: float  # its uncertainty from the reference's own error, absolute; NaN where not measured
     limits: tuple[Limit, ...]
-
-
-@dataclass(frozen=True)
-class SmallStrainLimits:
-    """The limits of every model of a case along one load path."""
-
-    along: str  # key of the load that is raised; "load" where all are, in proportion
-    unit: str  # of its value; "1" where all are
-    models: Mapping[str, ModelLimits]
 
 
 @dataclass(frozen=True)
@@ -85,7 +76,7 @@ class CaseResult:
     reference_error: Mapping[str, float] = field(default_factory=dict)
     # error of the reference itself, see vdmbench.measures.reference.own_error; empty where not measured
     mesh_quality: Mapping[str, float] = field(default_factory=dict)
-    small_strain: SmallStrainLimits | None = None  # where [limits] asks for them
+    small_strain: Mapping[str, ModelLimits] | None = None  # of each model, where [limits] asks for them
     measurement: Measurement | None = None  # where [[measured]] tells what was measured on it
     inputs: InputSpread | None = None  # where [inputs] tells how well they are known
     moved: Array | None = None  # (N,) how far remeshing moved the surface of the file near each node [m]

@@ -38,7 +38,6 @@ _RETREATS = 4  # bisections towards the load at which a solution stops
 class LoadPoint:
     """What was found at one load. `error` of a model that has no solution there is NaN; it is read when needed."""
 
-    load: float
     error: Mapping[str, float]
     indentation: float
     strain: float
@@ -50,20 +49,18 @@ class LoadPath:
 
     Parameters
     ----------
-    evaluate : load -> LoadPoint, None where the reference has no solution
-    start : the study's own load; any sign, not zero
+    evaluate : factor of the study's loads -> LoadPoint, None where the reference has no solution
     """
 
-    def __init__(self, evaluate: Callable[[float], LoadPoint | None], start: float) -> None:
+    def __init__(self, evaluate: Callable[[float], LoadPoint | None]) -> None:
         self._evaluate = evaluate
-        self.start = start
         self._points: dict[float, LoadPoint | None] = {}
         self._after: dict[float, float] = {}
 
     def at(self, factor: float) -> LoadPoint | None:
-        """The point at `factor` times the study's load."""
+        """The point at `factor` times the study's loads."""
         if factor not in self._points:
-            self._points[factor] = self._evaluate(factor * self.start)
+            self._points[factor] = self._evaluate(factor)
         return self._points[factor]
 
     def usable(self, factor: float) -> bool:
@@ -104,10 +101,6 @@ class LoadPath:
         if point is None or not self.usable(factor):
             return math.nan
         return point.error[model] - self.structural_error(model)
-
-    def factor_of(self, load: float) -> float:
-        """The evaluated factor that is nearest to a load: over the study's own it may be off by rounding."""
-        return min(self._points, key=lambda factor: abs(factor * self.start - load))
 
     def between(self, low: float, high: float) -> list[float]:
         """Factors between two, of every load evaluated so far, rising."""
@@ -164,7 +157,7 @@ def on_finer_mesh(limits: ModelLimits, path: LoadPath, fine: LoadPath, model: st
 
 
 def _on_finer_mesh(limit: Limit, path: LoadPath, fine: LoadPath, model: str) -> Limit:
-    factor = path.factor_of(limit.load)
+    factor = limit.load
     own, other = path.at(factor), fine.at(factor)
     departure = fine.departure(model, factor)
     unresolved = replace(limit, state="unresolved")
@@ -203,12 +196,11 @@ def _limit(path: LoadPath, model: str, threshold: float) -> Limit:
     factor = low if high is None else _crossing(path, model, threshold, low, high)
     point = path.at(factor)
     if point is None or not math.isfinite(path.departure(model, factor)):  # between two loads that have one
-        state, load = _why_not(path, factor), factor * path.start
-        return Limit(threshold, state, load, math.nan, math.nan, math.nan)
+        return Limit(threshold, _why_not(path, factor), factor, math.nan, math.nan, math.nan)
     return Limit(
         threshold,
         state,
-        point.load,
+        factor,
         math.nan,
         point.indentation,
         point.strain,

@@ -11,6 +11,7 @@ from ..measures.case import CaseResult, Limit, ModelLimits
 from ..measures.frame import where_reached
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
 from ..measures.metrics import VECTOR
+from ..study.checks import only_load
 from ..study.registry import Family
 from ..verdict.digest import DRIFT, Digest, failed_steps
 from ..verdict.formatting import (
@@ -46,17 +47,23 @@ class _Row(NamedTuple):
 
 def small_strain_limits(digest: Digest) -> Section | None:
     """Structural error and growth limits per model and case."""
-    searched = [(case, case.small_strain) for case in digest.cases if case.small_strain is not None]
     rows = [
         _Row(case, model, entry, limit)
-        for case, found in searched
-        for model, entry in found.models.items()
+        for case in digest.cases
+        for model, entry in (case.small_strain or {}).items()
         for limit in entry.limits
     ]
     if not rows:
         return None
-    raised = {"every load, in proportion" if one.unit == "1" else one.along for _, one in searched}
-    unit = searched[0][1].unit
+    alone = {row.case.hash: only_load(row.case.study) for row in rows}
+    units = {one[2] if one else "1" for one in alone.values()}
+    unit = units.pop() if len(units) == 1 else "1"
+    raised = {one[0] if one and unit != "1" else "every load, in proportion" for one in alone.values()}
+
+    def load(row: _Row) -> Cell:
+        one = alone[row.case.hash]
+        return _load(row.limit, row.limit.load * (one[1] if one and unit != "1" else 1.0), unit)
+
     fields = [
         *([Field("Case", lambda row: digest.case_name(row.case))] if len(digest.cases) > 1 else []),
         Field("Model", lambda row: row.model),
@@ -71,7 +78,7 @@ def small_strain_limits(digest: Digest) -> Section | None:
             lambda row: Cell(f"+ {short_percent(row.limit.threshold)}", value=row.limit.threshold),
             "1",
         ),
-        Field("Load" if unit != "1" else "Times the study's loads", lambda row: _load(row.limit, unit), unit),
+        Field("Load" if unit != "1" else "Times the study's loads", load, unit),
         Field(
             "Indentation",
             lambda row: row.limit.indentation,
@@ -91,14 +98,14 @@ def small_strain_limits(digest: Digest) -> Section | None:
     return Section("limits", "Small-strain limits", [table, small_print])
 
 
-def _load(limit: Limit, unit: str) -> Cell:
-    if math.isnan(limit.load):
+def _load(limit: Limit, load: float, unit: str) -> Cell:
+    if math.isnan(load):
         return Cell(NOTHING, _WHY[limit.state], tone="muted")
-    text = quantity(limit.load, unit)
+    text = quantity(load, unit)
     if limit.state == "found":
-        return Cell(text, bar_detail(1.0, limit.bar), limit.load)
+        return Cell(text, bar_detail(1.0, limit.bar), load)
     prefix = {"beyond": "≥ ", "unresolved": ""}.get(limit.state, "to ")
-    return Cell(f"{prefix}{text}", _WHY[limit.state], limit.load, tone="muted")
+    return Cell(f"{prefix}{text}", _WHY[limit.state], load, tone="muted")
 
 
 def all_measures(digest: Digest) -> Section | None:

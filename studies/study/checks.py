@@ -9,11 +9,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, listed, named_twice, unknown
+from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, key_text, listed, named_twice, unknown
 from .fields import unit_of
 from .kinds import Table
 from .measured import Measured, same_load
-from .registry import BROKEN, DISPLACEMENT_ELEMENTS, find, lacks, model_names, reads, split
+from .registry import BROKEN, DISPLACEMENT_ELEMENTS, FINITE_STRAIN, find, lacks, model_names, reads, split
 from .schema import (
     LAW_KEYS,
     LAWS,
@@ -50,6 +50,7 @@ def check(study: Study) -> Iterator[Finding]:
         text = f"makes a load history of {count:,} steps, more than the {MOST_STEPS:,} allowed; take fewer"
         yield ("load", "steps"), text
     yield from _check_loads(study, None if of_body else max(_sizes(study.geometry), default=None))
+    yield from _check_limits(study)
     yield from _check_measured(study)
 
 
@@ -187,16 +188,10 @@ def _check_loads(study: Study, extent: float | None) -> Iterator[Finding]:
         most["N"] = modulus * extent**2, f"ten times Young's modulus over a body {extent:g} m across"
         most["m"] = extent, "the body's extent"
     factor = max(map(abs, study.load.factors))
-    sizes: list[tuple[Loc, float, str]] = []
-    for place, part in enumerate(study.constraints):
-        for name in part.loads:
-            value = getattr(part, name) or 0.0
-            size = factor * math.hypot(*(value if isinstance(value, tuple) else (value,)))
-            sizes.append((("constraints", place, name), size, unit_of(part, name)))
-    if gravity is not None and extent is not None:
-        weight = study.tissue.density * math.hypot(*gravity.acceleration) * extent
-        sizes.append((("gravity", "acceleration"), weight, "Pa"))
-    for loc, size, unit in sizes:
+    for loc, values, unit in _loads(study):
+        size = factor * math.hypot(*values)
+        if loc[0] == "gravity" and extent is not None:
+            size, unit = study.tissue.density * math.hypot(*values) * extent, "Pa"
         limit, told = most.get(unit, (math.inf, ""))
         if size > limit:
             what = "the weight" if loc[0] == "gravity" else "it"
@@ -205,6 +200,37 @@ def _check_loads(study: Study, extent: float | None) -> Iterator[Finding]:
     if study.geometry.cavities == "fluid" and gravity is not None:
         text = "no model knows the fluid's weight; leave gravity out, or take empty ones"
         yield ("geometry", "cavities"), text
+
+
+def _loads(study: Study) -> Iterator[tuple[Loc, tuple[float, ...], str]]:
+    """The place of each load, its components at load factor 1 [SI], and their unit."""
+    for place, part in enumerate(study.constraints):
+        for name in part.loads:
+            value = getattr(part, name) or 0.0
+            values = value if isinstance(value, tuple) else (value,)
+            yield ("constraints", place, name), values, unit_of(part, name)
+    if study.gravity is not None:
+        yield ("gravity", "acceleration"), study.gravity.acceleration, unit_of(study.gravity, "acceleration")
+
+
+def only_load(study: Study) -> tuple[str, float, str] | None:
+    """Key, value [SI] and unit of the one number that loads a study; None where several do, or none."""
+    found = [(loc, value, unit) for loc, values, unit in _loads(study) for value in values if value]
+    if len(found) != 1:
+        return None
+    ((loc, value, unit),) = found
+    return key_text(loc, study.model_dump()), value, unit
+
+
+def _check_limits(study: Study) -> Iterator[Finding]:
+    if study.limits is None:
+        return
+    if not any(any(values) for _, values, _ in _loads(study)):
+        yield ("limits",), "a search needs a load to start from, and all of this study are zero"
+    reference = study.study.reference
+    if reference is None or split(reference)[0] not in FINITE_STRAIN:
+        wanted = " or ".join(f'"{name}"' for name in FINITE_STRAIN)
+        yield ("limits",), f"the limits are those against finite strain: they need study.reference = {wanted}"
 
 
 # --- regions and inclusions ---

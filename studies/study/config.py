@@ -12,12 +12,9 @@ from typing import Any
 import tomli_w
 
 from .checks import validate
-from .errors import Finding, MeshError, Problem, Source, StudyError, file_fault, unknown, value_at
-from .fields import targets
+from .errors import Finding, MeshError, Problem, Source, StudyError, file_fault
 from .files import changed_keys, merged
 from .kinds import MAX_NAME, Enters, is_safe_name
-from .loads import LOAD_KEYS
-from .registry import FINITE_STRAIN, split
 from .schema import Study
 from .sweep import (
     STAR,
@@ -34,7 +31,6 @@ from .units import shown
 
 __all__ = ["ResolvedCase", "Study", "StudyError"]  # and what is defined here
 
-ALL_LOADS = "load"  # limits.along: every load of the study, in proportion
 MAX_BYTES = 1_000_000  # of a study file
 
 _LONG_NUMBER = re.compile(r"\d[\d_]{4000,}")
@@ -76,8 +72,6 @@ def load_study(
     at_axis = {axis.target.loc: axis.loc for axis in axes if base is not data}
     findings += [(at_axis.get(loc, loc), text) for loc, text in faults]
     findings += _changed_in_vain(axes, changes, data)
-    if study is not None:
-        findings += _check_limits(axes, study)
     if study is None or findings:
         raise source.error(findings, base)
     expand(study)
@@ -144,15 +138,6 @@ def case_inputs(study: Study) -> dict[str, Any]:
     return study.without(resolved(study), Enters.NOTHING)
 
 
-def start_of(study: Study, along: str) -> tuple[float, str]:
-    """The load that `limits.along` names, in SI, and its unit: all loads together are once those of the study."""
-    if along == ALL_LOADS:
-        return 1.0, "1"
-    data = study.model_dump()
-    target = targets(data)[along]
-    return float(value_at(data, target.loc)), target.unit
-
-
 # --- the file ---
 
 
@@ -204,28 +189,3 @@ def _with_surface(data: Mapping[str, Any], surface: Path) -> dict[str, Any]:
         file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)[-MAX_NAME // 2 :]
         study = study | {"name": f"{name[: MAX_NAME - len(file) - 1]}-{file}"}
     return {**data, "geometry": kept} | ({"study": study} if study is not None else {})
-
-
-def _check_limits(axes: Sequence[Axis], study: Study) -> Iterator[Finding]:
-    """What is wrong with [limits] of a sound study."""
-    if study.limits is None:
-        return
-    along, data = study.limits.along, study.model_dump()
-    loads = {
-        key: value_at(data, target.loc)
-        for key, target in targets(data).items()
-        if target.si is not None
-        and (target.loc[0] == "gravity" or (target.loc[0] == "constraints" and target.loc[2] in LOAD_KEYS))
-    }
-    at_work = {key for key, value in loads.items() if value}
-    others = [key for key in loads if key in {*at_work, *(axis.key for axis in axes)} - {along}]
-    if along != ALL_LOADS and along not in loads:
-        yield ("limits", "along"), unknown(along, [ALL_LOADS, *loads], "load")
-    elif not at_work if along == ALL_LOADS else along not in at_work:
-        yield ("limits", "along"), "has no value, or is zero; a search needs a load to start from"
-    elif others and along != ALL_LOADS:
-        text = f'{shown(others[0])} is a load too, which would not rise; along = "{ALL_LOADS}" raises all'
-        yield ("limits", "along"), text
-    elif (reference := study.study.reference) is None or split(reference)[0] not in FINITE_STRAIN:
-        wanted = " or ".join(f'"{name}"' for name in FINITE_STRAIN)
-        yield ("limits",), f"the limits are those against finite strain: they need study.reference = {wanted}"

@@ -285,7 +285,7 @@ class Measured(Table):
         if not isinstance(data, dict):
             return data
         given = [key for key in ("path", "points", "surface", "forces") if data.get(key)]
-        if len(given) != 1:
+        if len(given) != 1 and data.keys() <= cls.model_fields.keys():
             told = f", not {listed({*given})}" if given else ""
             raise ValueError(f"give one of path, points, surface, forces{told}")
         if given != ["path"]:

@@ -355,13 +355,11 @@ class Inputs(Table):
 class Limits(Table):
     """[limits]: search the small-strain limits"""
 
-    along: str = Key(
-        "dotted path of the load to raise, as in a sweep, where it is the only one; `load` raises all "
-        "in proportion; the search starts at the study's own and ends at 64 times it, or at a largest principal "
-        "strain of 4, a fibre three times as long as at rest"
-    )
     thresholds: Annotated[Plains, number_check(lambda v: 0 < v < 1, "must lie between 0 and 1")] = Key(
-        "growths of the relative L2 displacement error to find", (0.05, 0.10)
+        "growths of the relative L2 displacement error to find; the search raises all loads in proportion, "
+        "from the study's own to 64 times them, or to a largest principal strain of 4, a fibre three times "
+        "as long as at rest",
+        (0.05, 0.10),
     )
 
 

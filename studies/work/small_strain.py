@@ -14,20 +14,19 @@ from .. import models
 from ..body.mesh import Mesh
 from ..body.refine import Hierarchy, refined
 from ..body.surface_measures import Surface, relative_l2
-from ..measures.case import SmallStrainLimits
+from ..measures.case import ModelLimits
 from ..measures.limits import SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
 from ..measures.metrics import mean_indentation
 from ..measures.reference import level_scene
 from ..scene.result import ModelResult
 from ..scene.scene import Scene, build_scene
-from ..study.config import start_of
 from ..study.schema import Study
 
 STRAIN, LARGEST_STRAIN = "p95_principal_strain", "max_principal_strain"
 EXPECTED_LOADS = 30  # that a search tries
 
 
-def small_strain_limits(study: Study, mesh: Mesh) -> SmallStrainLimits:
+def small_strain_limits(study: Study, mesh: Mesh) -> dict[str, ModelLimits]:
     """Structural error and growth limits of every compared model of a study with [limits].
 
     Where the study has [uncertainty], a small load and that of each limit are solved again with every tetrahedron
@@ -38,32 +37,31 @@ def small_strain_limits(study: Study, mesh: Mesh) -> SmallStrainLimits:
     if asked is None or reference is None:
         raise ValueError("a search for small-strain limits needs [limits] and a reference")
     names = [name for name in study.study.models if name != reference]
-    start, unit = start_of(study, asked.along)
-    path = LoadPath(_Evaluator(study, start, Hierarchy((mesh,)), reference), start)
+    path = LoadPath(_Evaluator(study, Hierarchy((mesh,)), reference))
     found = {name: model_limits(path, name, asked.thresholds) for name in names}
     if study.uncertainty is not None:
-        fine = LoadPath(_Evaluator(study, start, refined(mesh, 1), reference), start)
+        fine = LoadPath(_Evaluator(study, refined(mesh, 1), reference))
         limits = [limit for entry in found.values() for limit in entry.limits if limit.state == "found"]
-        for factor in sorted({SMALL, *(path.factor_of(limit.load) for limit in limits)}):
+        for factor in sorted({SMALL, *(limit.load for limit in limits)}):
             fine.at(factor)  # rising: from each the reference goes on to the next
         found = {name: on_finer_mesh(entry, path, fine, name) for name, entry in found.items()}
-    return SmallStrainLimits(asked.along, unit, found)
+    return found
 
 
 class _Evaluator:
-    """Runs the reference of one case at a value of the raised load, on the finest mesh, and the other models."""
+    """Runs the reference of one case at a factor of its loads, on the finest mesh, and the other models."""
 
-    def __init__(self, study: Study, start: float, meshes: Hierarchy, reference: str) -> None:
+    def __init__(self, study: Study, meshes: Hierarchy, reference: str) -> None:
         coarsest = meshes.meshes[0]
-        self._start, self._reference = start, reference
+        self._reference = reference
         self._own = build_scene(study, coarsest)
         self._inside = level_scene(study, meshes) if meshes.parents else self._own
         self._set_up: dict[str, models.Prepared] = {}
         self._areas = Surface(coarsest.surface_points, coarsest.triangles).areas
 
-    def __call__(self, load: float) -> LoadPoint | None:
+    def __call__(self, factor: float) -> LoadPoint | None:
         """Every model at one load, volumetric ones on the finest mesh; None where the reference has no solution."""
-        own, inside = (scene.raised(load / self._start) for scene in (self._own, self._inside))
+        own, inside = (scene.raised(factor) for scene in (self._own, self._inside))
         reference = self._answer(inside, self._reference)
         if not _solved(reference):
             return None
@@ -71,7 +69,6 @@ class _Evaluator:
             inside.mesh.surface_points, inside.mesh.triangles, inside.contact, inside.contact_force
         )
         return LoadPoint(
-            load,
             _Errors(partial(self._error, own, inside, reference.displacement[-1])),
             float(mean_indentation(surface, reference.displacement[-1:])[0]),
             *(float(reference.scalars.get(name, [math.nan])[-1]) for name in (STRAIN, LARGEST_STRAIN)),

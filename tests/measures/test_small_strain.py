@@ -13,10 +13,10 @@ from vdmbench import models
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.body.refine import inherit, refine
 from vdmbench.body.surface_measures import Surface, relative_l2
-from vdmbench.measures.case import SmallStrainLimits
+from vdmbench.measures.case import ModelLimits
 from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.study.checks import only_load
 from vdmbench.study.config import load_study
-from vdmbench.study.errors import StudyError
 from vdmbench.study.files import merged
 from vdmbench.study.schema import Study
 from vdmbench.work.small_strain import small_strain_limits
@@ -45,13 +45,13 @@ kind = "contact"
 region = "tool"
 pressure = "300 Pa"
 [limits]
-along = "constraints.tool.pressure"
 thresholds = [0.05]
 [uncertainty]
 levels = 2
 """
 
-Found = tuple[Study, Scene, SmallStrainLimits]
+Found = tuple[Study, Scene, dict[str, ModelLimits]]
+PRESSURE = 300.0  # Pa, of the study
 
 
 @pytest.fixture(scope="module")
@@ -68,23 +68,23 @@ def grown(
     study: Study,
     scene: Scene,
     name: str,
-    load: float,
+    factor: float,
     *,
     refined: bool,
     together: bool = False,
 ) -> tuple[float, float]:
-    """(error of a model against the reference, the reference's strain) at a load, both run anew.
+    """(error of a model against the reference, the reference's strain) at a factor of the load, both run anew.
 
-    `together`: the load is a factor of all that acts.
+    `together`: of all that acts, else of the pressure alone.
     """
     mesh, masks = scene.mesh, scene.regions
     if refined:
         mesh, parents = refine(scene.mesh)
         masks = {region: inherit(mask, scene.mesh, parents) for region, mask in scene.regions.items()}
-    changes: dict[str, Any] = {"constraints": {"tool": {"pressure": load}}, "limits": None}
+    changes: dict[str, Any] = {"constraints": {"tool": {"pressure": factor * PRESSURE}}, "limits": None}
     if together:
-        weight = [0.0, 0.0, -4.0 * load]
-        changes = {"load": {"factors": [load]}, "gravity": {"acceleration": weight}, "limits": None}
+        weight = [0.0, 0.0, -4.0 * factor]
+        changes = {"load": {"factors": [factor]}, "gravity": {"acceleration": weight}, "limits": None}
     higher = Study.model_validate(merged(study.model_dump(mode="json"), changes))
     own, inside = build_scene(higher, scene.mesh, scene.regions), build_scene(higher, mesh, masks)
     surface = Surface(scene.mesh.surface_points, scene.mesh.triangles)
@@ -100,9 +100,8 @@ def grown(
 def test_the_error_has_grown_by_the_threshold_at_the_load_that_was_found(found: Found) -> None:
     study, scene, _ = found
     own = small_strain_limits(study.model_copy(update={"uncertainty": None}), scene.mesh)
-    assert own.along == "constraints.tool.pressure"
-    assert own.unit == "Pa"
-    for name, entry in own.models.items():
+    assert only_load(study) == ("constraints.tool.pressure", PRESSURE, "Pa")
+    for name, entry in own.items():
         (limit,) = entry.limits  # `test_limits` has several thresholds, by closed forms
         assert limit.state == "found"
         error, strain = grown(study, scene, name, limit.load, refined=False)
@@ -115,7 +114,7 @@ def test_the_error_has_grown_by_the_threshold_at_the_load_that_was_found(found: 
 def test_the_limit_of_the_refined_mesh_lies_inside_the_bar(found: Found) -> None:
     """The error has not grown by the threshold at the bar's lower end, and has at its upper one."""
     study, scene, limits = found
-    for name, entry in limits.models.items():
+    for name, entry in limits.items():
         (limit,) = entry.limits
         low, _ = grown(study, scene, name, limit.load * (1.0 - limit.bar), refined=True)
         high, _ = grown(study, scene, name, limit.load * (1.0 + limit.bar), refined=True)
@@ -124,7 +123,7 @@ def test_the_limit_of_the_refined_mesh_lies_inside_the_bar(found: Found) -> None
 
 def test_the_limit_of_a_departure_by_a_power_law_is_that_of_the_refined_mesh(found: Found) -> None:
     study, scene, limits = found
-    linear = limits.models["fem-linear"]
+    linear = limits["fem-linear"]
     (limit,) = linear.limits
     error, strain = grown(study, scene, "fem-linear", limit.load, refined=True)
     assert_allclose(error - linear.structural_error, limit.threshold, rtol=0.005, atol=0)
@@ -143,44 +142,20 @@ displacement = ["-1 mm", 0, "0.5 mm"]
 """
 
 
-def limits_along(directory: Path, along: str, more: str = "") -> tuple[Study, Scene, SmallStrainLimits]:
-    head, limits = STUDY.split("[uncertainty]")[0].split("[limits]")
-    path = directory / "study.toml"
-    path.write_text(head.replace("[regions]", "density = 1000\n[regions]") + f"{more}[limits]{limits}")
-    path.write_text(path.read_text().replace("constraints.tool.pressure", along))
-    study = load_study(path)
-    scene = build_scene(study, mesh_from_cache(study.geometry, directory / "cache", volume=True))
-    return study, scene, small_strain_limits(study, scene.mesh)
-
-
 def test_loads_are_raised_together(tmp_path: Path) -> None:
     """A contact, a movement and a weight: small loads are small, and the limit is a multiple of all of them."""
-    study, scene, limits = limits_along(tmp_path, "load", SIDE)
-    assert limits.unit == "1"
-    assert limits.models["fem-linear"].structural_error < 1e-3
-    for name, entry in limits.models.items():
+    head, limits = STUDY.split("[uncertainty]")[0].split("[limits]")
+    path = tmp_path / "study.toml"
+    head = head.replace("[regions]", "density = 1000\n[regions]")
+    path.write_text(f"{head}{SIDE}[limits]{limits}")
+    study = load_study(path)
+    assert only_load(study) is None
+    scene = build_scene(study, mesh_from_cache(study.geometry, tmp_path / "cache", volume=True))
+    found = small_strain_limits(study, scene.mesh)
+    assert found["fem-linear"].structural_error < 1e-3
+    for name, entry in found.items():
         (limit,) = entry.limits
         assert limit.state == "found"
         error, strain = grown(study, scene, name, limit.load, refined=False, together=True)
         assert_allclose(error - entry.structural_error, limit.threshold, rtol=0.021, atol=0)
         assert_allclose(limit.strain, strain, rtol=1e-6, atol=0)
-
-
-@pytest.mark.parametrize(
-    ("more", "other"),
-    [
-        (SIDE, "constraints.side.displacement.0"),
-        ("[gravity]\nacceleration = [0, 0, -4]\n", "gravity.acceleration.2"),
-        (
-            "[gravity]\nacceleration = [0, 0, 0]\n[sweep]\n'gravity.acceleration.2' = [0, -4]\n",
-            "gravity.acceleration.2",
-        ),
-    ],
-)
-def test_a_load_that_stays_as_it_is_is_refused(tmp_path: Path, more: str, other: str) -> None:
-    """It would be at full size where the structural error is that of small loads."""
-    with pytest.raises(StudyError) as refused:
-        limits_along(tmp_path, "constraints.tool.pressure", more)
-    (problem,) = refused.value.problems
-    assert problem.key == "limits.along"
-    assert problem.message == f'"{other}" is a load too, which would not rise; along = "load" raises all'

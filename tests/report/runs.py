@@ -13,7 +13,7 @@ from solver_common.solution import Status
 from tests.vdm.vdm_shapes import icosphere
 from vdmbench.body.surface_measures import Surface
 from vdmbench.machine import processor_name
-from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, Run, SmallStrainLimits
+from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, Run
 from vdmbench.measures.measurement import InputSpread, Measurement, ModelSpread, Quantity
 from vdmbench.measures.metrics import METRICS, History, evaluate
 from vdmbench.scene.result import FrameTimes, ModelResult
@@ -299,18 +299,14 @@ def whole_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45") 
         moved=np.linspace(0.0, 2e-3, n),
         measurement=example_measurement(),
         inputs=example_inputs(),
-        small_strain=SmallStrainLimits(
-            "constraints.finger.pressure",
-            "Pa",
-            {
-                "vdm-paper": ModelLimits(
-                    0.75,
-                    0.02,
-                    (
-                        Limit(0.05, "found", 350.0, 0.08, 0.004, 0.11, 0.05, 0.07),
-                        Limit(0.1, "model-stopped", 600.0, float("nan"), 0.006, 0.17),
-                    ),
-                )
-            },
-        ),
+        small_strain={
+            "vdm-paper": ModelLimits(
+                0.75,
+                0.02,
+                (
+                    Limit(0.05, "found", 0.35, 0.08, 0.004, 0.11, 0.05, 0.07),
+                    Limit(0.1, "model-stopped", 0.6, float("nan"), 0.006, 0.17),
+                ),
+            )
+        },
     )

@@ -171,7 +171,10 @@ FIELD = "VTKHDF/PointData/vdm-paper.displacement"
         (lambda about: about.__delitem__("study"), "'study' is not there"),
         (lambda about: about.update(models=[]), "not readable"),
         (lambda about: about.update(label=3), "'label' is not of type str"),
-        (lambda about: about.update(small_strain={"along": "x"}), "'small_strain.unit' is not there"),
+        (
+            lambda about: about.update(small_strain={"x": {}}),
+            "'small_strain.x.structural_error' is not there",
+        ),
         (
             lambda about: about.update(measurement={"quantities": 3}),
             "'measurement.quantities' is not a list",

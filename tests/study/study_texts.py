@@ -70,7 +70,6 @@ fibre_direction = [1, 0, 0]
 contrast = 3
 
 [limits]
-along = "load"
 
 [uncertainty]
 levels = 3

@@ -200,7 +200,7 @@ WHOLE: dict[str, Any] = STUDY | {
         {"name": "b", "box": {"min": [0.0, 0.0, 0.0], "max": [0.1, 0.1, 0.1]}, "youngs_modulus": 5e4},
     ],
     "inputs": {"tissue.youngs_modulus": {"sd": 100.0}},
-    "limits": {"along": "load"},
+    "limits": {},
     "measured": [
         {"name": "points", "points": [{"x": 0.0, "y": 0.0, "z": 0.05, "displacement_z": 0.001}]},
         {"name": "curve", "forces": [{"depth": 0.001, "force": 0.1}]},
