@@ -270,6 +270,13 @@ def test_a_compressible_body_hangs_from_its_weight_as_the_linear_form_says() -> 
         assert_allclose(found.displacement[0], linear, rtol=0.0, atol=left * size)
 
 
+def test_no_matrix_of_the_whole_is_made_of_a_body_in_parts() -> None:
+    """Not for the weight of a compressible one either, whose force asks for the stiffness."""
+    model = clamped(BAR, poisson_ratio=0.45, density=1e3, gravity=(0.0, 0.0, -1.0))
+    assert model.solve([Load(np.zeros(len(BAR[0])))]).scalars["parts"][0] > 1
+    assert "matrix" not in vars(model.formulation)
+
+
 @pytest.mark.parametrize("parts", [1, 4])
 def test_the_pressure_of_a_compressible_body_is_what_its_volume_lost(parts: int) -> None:
     """Under weight too, where the middle of its nodes is not that of its volume."""

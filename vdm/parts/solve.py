@@ -180,8 +180,12 @@ class PartsSolver:
         return max(loads, key=self._size)
 
     def _size(self, load: Load) -> float:
-        held = self._whole.held_unknown(load)
-        return float(np.linalg.norm(self._whole.force(load)) + np.linalg.norm(held))
+        """Of what acts; weight by its pressure alone, whose force in a compressible body asks for its matrix."""
+        problem, support = self._whole, self._whole.support
+        force = replace(problem, support=replace(support, hydrostatic=None)).force(load)
+        if support.hydrostatic is not None:
+            force = force + problem.formulation.pressed * support.hydrostatic[:, None]
+        return float(np.linalg.norm(force) + np.linalg.norm(problem.held_unknown(load)))
 
     def _unturned(self, load: Load) -> Load:
         """The load in the frame of its supports: what turns with them does not bend the body."""
