@@ -88,7 +88,9 @@ def do(options: argparse.Namespace) -> int:
     return code
 
 
-def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def vdmbench(
+    *arguments: str | Path, cwd: Path, times: bool = False, **environment: str
+) -> subprocess.CompletedProcess[str]:
     """One call in this process, its nodes too, which saves a second of imports and more; never a traceback.
 
     What processes do, as signals, limits, `--jobs`, a cluster and bytes of a stream, `vdmbench_process` shows.
@@ -102,10 +104,10 @@ def vdmbench(*arguments: str | Path, cwd: Path, **environment: str) -> subproces
         contextlib.redirect_stdout(output),
         contextlib.redirect_stderr(complaints),
         mock.patch.dict(os.environ, environment),
-        mock.patch("vdmbench.work.run._pool", _here),
+        mock.patch("vdmbench.work.run._pool", pool_here),
         mock.patch("gc.freeze"),  # this process goes on
-        # two thirds of a small run: `test_times` and the tests of the report show them
-        mock.patch("vdmbench.work.run._time_frames"),
+        # two thirds of a small run: tests of `times` and of the report show them
+        contextlib.nullcontext() if times else mock.patch("vdmbench.work.run._time_frames"),
         mock.patch("vdmbench.report.plots.svg_of", return_value="<svg></svg>"),
         mock.patch("vdmbench.report.section_scene.scene_svg", return_value="<svg></svg>"),
         mock.patch("vdmbench.report.section_view.labelled", return_value=b""),
@@ -133,7 +135,7 @@ def own_signals() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _here(*_: object) -> Iterator[HerePool]:
+def pool_here(*_: object) -> Iterator[HerePool]:
     """Places without processes."""
     yield HerePool()
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.testing import assert_allclose
 
-from tests.command import vdmbench, vdmbench_process
+from tests.command import vdmbench
 from tests.report.runs import make_case, make_run, typed_study
 from vdmbench.bench import SIZES, rows, study_to_run
 from vdmbench.cli.verbs_of_trials import bodies_to_measure
@@ -64,8 +64,7 @@ HELD: dict[str, Any] = {
 def test_a_benchmark_is_a_run_of_the_sizes_that_the_body_stands(tmp_path: Path) -> None:
     """A ball of 100 mm has no mesh with edges of 56 or 73 mm; models answer the first case of the study."""
     (tmp_path / "ball.toml").write_text(STUDY.format(size=28, fraction=0.7))
-    # which takes times
-    done = vdmbench_process("bench", "ball.toml", "--out", "there", "--json", cwd=tmp_path)
+    done = vdmbench("bench", "ball.toml", "--out", "there", "--json", cwd=tmp_path, times=True)
     assert done.returncode == 0, done.stderr
     assert re.findall("left out (.*) times the mesh_size: ", done.stderr) == ["2.6", "2"]
     (report,) = json.loads(done.stdout)["reports"]

@@ -7,12 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 from numpy.testing import assert_allclose
 
 import vdmbench
-from tests.command import write_study
+from tests.command import pool_here, write_study
 from tests.report.runs import make_run, sweep_run
 from vdmbench.api import Results
 from vdmbench.study.files import merged
@@ -28,7 +29,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
         "load": None,
     }
     study = write_study(where)
-    return vdmbench.run(study, out=where / "run", cache=where / "cache", jobs=1, **changes)
+    with mock.patch("vdmbench.work.run._pool", pool_here):
+        return vdmbench.run(study, out=where / "run", cache=where / "cache", jobs=1, **changes)
 
 
 def test_a_study_is_run_with_changes(results: Results) -> None:

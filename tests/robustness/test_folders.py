@@ -9,7 +9,7 @@ from pathlib import Path
 import meshio
 import pytest
 
-from tests.command import vdmbench, vdmbench_process, write_study
+from tests.command import vdmbench, write_study
 from tests.report.runs import icosphere
 from vdmbench.store import cases as store
 from vdmbench.study.files import text_without_folders
@@ -73,13 +73,3 @@ def test_only_absolute_paths_of_meshes_are_shortened() -> None:
     )
     short = """path = "liver.stl"  # 'a b.OBJ', "q.ply"\nb = "a/b.stl"\nc = "/x/y.txt" """
     assert text_without_folders(text) == short
-
-
-def test_a_run_executes_no_file_of_the_folder_that_it_is_called_in(tmp_path: Path) -> None:
-    """Neither the command nor a process of its own imports from there."""
-    write_study(tmp_path, a=MODELS, b=REFERENCE)
-    for name in ("numpy", "json", "signal", "multiprocessing", "skfem"):
-        (tmp_path / f"{name}.py").write_text("open('executed', 'w'); raise SystemExit(9)")
-    result = vdmbench_process("run", "small.toml", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert not (tmp_path / "executed").exists()

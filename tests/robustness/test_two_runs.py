@@ -25,25 +25,20 @@ def _together(*runs: list[str], cwd: Path) -> list[tuple[int, str]]:
     return found
 
 
-def test_shards_of_one_directory(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
+def test_shards_of_one_directory_and_another_run_on_one_cache(
+    undisturbed: tuple[Path, float], tmp_path: Path
+) -> None:
+    """All mesh and solve the same at the same time; each takes what is whole, or makes its own."""
     shutil.copy(undisturbed[0] / "small.toml", tmp_path)
-    for code, output in _together(["--shard", "1/2"], ["--shard", "2/2"], cwd=tmp_path):
+    shards, other = (["--shard", "1/2"], ["--shard", "2/2"]), ["--out", "other"]
+    for code, output in _together(*shards, other, cwd=tmp_path):
         assert code == 0, output
-    assert_same_results(tmp_path / RUN, undisturbed[0] / RUN)
-    assert half_written(tmp_path) == []
-    # the last to finish has seen all
-    assert pd.read_csv(tmp_path / RUN / METRICS_FILE)["case"].nunique() == 6
-
-
-def test_two_directories_of_one_cache(undisturbed: tuple[Path, float], tmp_path: Path) -> None:
-    """Both mesh and solve the same at the same time; each takes what is whole, or makes its own."""
-    shutil.copy(undisturbed[0] / "small.toml", tmp_path)
-    for code, output in _together(["--out", "a"], ["--out", "b"], cwd=tmp_path):
-        assert code == 0, output
-    for name in ("a", "b"):
-        assert_same_results(tmp_path / name, undisturbed[0] / RUN)
+    for place in (RUN, Path("other")):
+        assert_same_results(tmp_path / place, undisturbed[0] / RUN)
     check_what_is_there(tmp_path)
     assert half_written(tmp_path) == []
+    # the last shard to finish has seen all
+    assert pd.read_csv(tmp_path / RUN / METRICS_FILE)["case"].nunique() == 6
     ours, theirs = (
         {path.relative_to(place) for path in (place / CACHE).rglob("*.npz")}
         for place in (tmp_path, undisturbed[0])

@@ -56,7 +56,7 @@ def do(payload: Any) -> None:
         case ["sys.exit"]:
             sys.exit(3)
         case ["solve"]:
-            for iteration in range(60):
+            for iteration in range(20):
                 tell(Progress(1, 5, 0.2, 0.35, iteration, 1e-4))
                 time.sleep(0.05)
         case ["threads"]:
@@ -68,7 +68,7 @@ def do(payload: Any) -> None:
 
 def here(text: str) -> str:
     """`do_task` with the kind of task of these tests, in a worker."""
-    worker._KINDS["test"] = do
+    worker._KINDS["test"], worker._APART = do, 0.0  # every iteration is told
     return do_task(text)
 
 
@@ -186,8 +186,10 @@ def test_workers_share_the_cores(tmp_path: Path) -> None:
 
 
 def test_a_server_of_workers_killed_amid_a_task_costs_one_more_try(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(pool, "_LOOK", 0.1)  # s
+
     def kill(_: Task, line: str) -> None:
         heard.append(line)
         if not killed and line:
