@@ -23,7 +23,7 @@ from vdm.constraints import (
     hydrostatic_pressure,
     node_mask,
 )
-from vdm.formulations.base import Factor, Formulation
+from vdm.formulations.base import Formulation
 from vdm.formulations.consistent import ConsistentFormulation
 from vdm.formulations.paper import PaperFormulation
 from vdm.formulations.vector import VectorFormulation
@@ -40,9 +40,9 @@ from vdm.reservations import reserved
 from vdm.solution import Solution, SolverError, Status
 from vdm.solvers import FIGURE_8, SOLVERS
 from vdm.solvers.audit import Audit, judged
+from vdm.solvers.bicg import TOLERANCE, BicgSolver
 from vdm.solvers.condition import Condition, condition_of_matrix, condition_of_operator
 from vdm.solvers.figure_8 import STOPS, Figure8Solver, Stop
-from vdm.solvers.krylov import TOLERANCE, KrylovSolver
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdm.solvers.lu import CONSTRAINT_METHODS, ConstraintMethod, LuSolver
 from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver
@@ -331,7 +331,7 @@ class Model:
         solver, n_border = self.solver, self.formulation.columns.count
         if isinstance(solver, LuSolver):
             return condition_of_matrix(solver.solved_matrix(), n_border)
-        if isinstance(solver, KrylovSolver) and solver.method == "bicg":
+        if isinstance(solver, BicgSolver):
             return condition_of_matrix(solver.printed, n_border)
         if isinstance(solver, FactorSolver):
             single = isinstance(solver, LinearSolver) and solver.precision == "single"
@@ -386,9 +386,6 @@ def _make_solver(
     tolerance: float,
     cut: Cut | None,
 ) -> Solver:
-    def at_rest() -> Factor:
-        return problem.formulation.factor(problem.free)
-
     makers: dict[str, Callable[[], Solver]] = {
         "linear": lambda: LinearSolver(problem),
         "single": lambda: LinearSolver(problem, "single", refine=False),
@@ -400,10 +397,8 @@ def _make_solver(
             if isinstance(problem.formulation, BoundaryFormulation)
             else NonlinearSolver(problem)
         ),
-        "bicg": lambda: KrylovSolver(problem, "bicg", tolerance=tolerance),
-        "bicg-cold": lambda: KrylovSolver(problem, "bicg", warm_start=False, tolerance=tolerance),
-        "cg": lambda: KrylovSolver(problem, "cg", tolerance=tolerance, factor=at_rest()),
-        "minres": lambda: KrylovSolver(problem, "minres", tolerance=tolerance, factor=at_rest()),
+        "bicg": lambda: BicgSolver(problem, tolerance=tolerance),
+        "bicg-cold": lambda: BicgSolver(problem, warm_start=False, tolerance=tolerance),
         FIGURE_8: lambda: Figure8Solver(problem, stop or "printed", volume_row or "printed", tolerance),
     }
     return makers[name]()

@@ -266,8 +266,7 @@ _surface = partial(
 SPRINGS, FULL, DEAD, INCLUSIONS = "normal springs", "full springs", "dead forces", "inclusions"
 CAVITIES, FLUID, FIBRES = "cavities", "fluid in cavities", "fibres"
 INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
-# MINRES needs a symmetric matrix, which the printed form has not
-PRINTED = (*(name for name in SOLVERS if name != "minres"), INCREMENTAL, FIGURE_8)
+PRINTED = (*SOLVERS, INCREMENTAL, FIGURE_8)
 DIRECT = ("linear", "lu")  # which alone solve a penalty, (25) and (26)
 _OF_SOLVERS = ("tolerance", "stop", "volume_row")
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", *_OF_SOLVERS)
@@ -278,7 +277,7 @@ for _registered in (
         version="6",
         solvers=PRINTED,
         # the nonlinear solver's areas, and with them its springs, grow with the deformation
-        takes={FIBRES: PRINTED, SPRINGS: tuple(one for one in SOLVERS if one not in ("minres", "nonlinear"))},
+        takes={FIBRES: PRINTED, SPRINGS: tuple(one for one in SOLVERS if one != "nonlinear")},
         parameters=("bulk_modulus", "connectivity_modulus", "penalty", "tolerance", "stop", "volume_row"),
         of_solvers={"penalty": DIRECT, "stop": (FIGURE_8,), "volume_row": ("quasi-linear", FIGURE_8)},
         by_rule=("bulk_modulus", "connectivity_modulus"),

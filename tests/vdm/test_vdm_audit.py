@@ -26,7 +26,7 @@ POINTS, TRIANGLES = icosphere(1, (0.05, 0.06, 0.045))
 BASE = POINTS[:, 2] < -0.03
 BODY = SurfaceMesh(POINTS, TRIANGLES)
 FINGER = Load(np.where(POINTS[:, 2] > 0.03, 20.0, 0.0))
-SOLVERS = ("linear", "lu", "bicg", "bicg-cold", "cg", "minres")
+SOLVERS = ("linear", "lu", "bicg", "bicg-cold")
 MODULI = {
     "paper": ("bulk_modulus", "connectivity_modulus"),
     "consistent": ("foundation", "surface_tension"),
@@ -197,7 +197,7 @@ def bent_line(offset: float) -> tuple[Array, Array]:
     return points, np.isin(np.arange(len(POINTS)), [first, second, third])
 
 
-@pytest.mark.parametrize("solver", ["linear", "single", "refined", "lu", "bicg", "bicg-cold", "cg", "minres"])
+@pytest.mark.parametrize("solver", ["linear", "single", "refined", "lu", "bicg", "bicg-cold"])
 @pytest.mark.filterwarnings("ignore:overflow|invalid value|divide by zero")
 def test_three_held_nodes_nearly_on_one_line(solver: str) -> None:
     """The body turns about the line: called converged is only what is right to a thousandth."""
@@ -214,7 +214,7 @@ def test_three_held_nodes_nearly_on_one_line(solver: str) -> None:
 
 @pytest.mark.parametrize(
     ("formulation", "solver"),
-    [("vector", solver) for solver in ("linear", "single", "refined", "lu", "cg", "minres")]
+    [("vector", solver) for solver in ("linear", "single", "refined", "lu", "bicg")]
     + [(form, "linear") for form in ("mass-spring", "bem")],
 )
 def test_a_body_that_its_support_carries_along_is_right(formulation: str, solver: str) -> None:

@@ -106,7 +106,7 @@ def test_who_decides_does_so_by_error_alone() -> None:
 def test_one_more_model_never_makes_the_answer_worse() -> None:
     """Errors around the tolerance, bars as wide as they are, models without an answer: drawn, for 1 to 3 cases."""
     rng = np.random.default_rng(17)
-    order, names = ["yes", "undecided", "no", "not judged"], ("vdm-vector", "vdm-consistent", "vdm-vector:cg")
+    order, names = ["yes", "undecided", "no", "not judged"], ("vdm-vector", "vdm-consistent", "vdm-vector:lu")
     seen = set()
     for _ in range(15):
         cases = [

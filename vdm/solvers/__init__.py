@@ -9,7 +9,5 @@ SOLVERS: tuple[str, ...] = (
     "nonlinear",
     "bicg",
     "bicg-cold",
-    "cg",
-    "minres",
 )
 FIGURE_8 = "figure-8"

@@ -15,7 +15,7 @@ from vdm.formulations.paper import PaperFormulation
 from vdm.problem import Problem, Step
 from vdm.solution import CONVERGED, Status
 from vdm.solvers.audit import RESIDUAL_LIMIT, Audit
-from vdm.solvers.krylov import NOT_CONVERGED, TOLERANCE
+from vdm.solvers.bicg import NOT_CONVERGED, TOLERANCE
 from vdm.solvers.nonlinear import FURTHEST, DeformedStep
 from vdm.solvers.quasi_linear import VolumeRow
 
