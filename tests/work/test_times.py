@@ -24,30 +24,8 @@ def timed(plan: object, cases: object) -> None:
 
 
 def test_a_run_with_nothing_to_do_measures_a_time_that_decides_and_no_other(
-    tmp_path: Path, cache: Path
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan = plan_of(tmp_path / "run", cache, **LIMITED)
-    do_cases(plan)
-    timed(plan, plan.cases)
-    first = (plan.directory / TIMES).read_bytes()
-    again = plan_of(tmp_path / "run", cache, **LIMITED)
-    assert again.cases_to_run() == []
-    timed(again, [])
-    assert (plan.directory / TIMES).read_bytes() != first, "measured anew, whatever the cache has"
-    ((mesh, found),) = read_times(plan.directory).items()
-    assert mesh == plan.cases[0].mesh
-    assert set(found) == set(plan.study.study.models)
-    for model in found.values():
-        assert model.contact.shape == model.everywhere.shape == (5,)
-        assert np.isfinite([model.setup, model.contact, model.everywhere]).all()
-
-    other = plan_of(tmp_path / "other", cache, tables=TABLES)
-    assert not _decides(other)
-    timed(other, [])
-    assert not (other.directory / TIMES).exists()
-
-
-def test_models_take_turns(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     real = frames.one_round
 
@@ -59,6 +37,21 @@ def test_models_take_turns(tmp_path: Path, cache: Path, monkeypatch: pytest.Monk
     plan = plan_of(tmp_path / "run", cache, **LIMITED)
     do_cases(plan)
     timed(plan, plan.cases)
-    assert asked == list(plan.study.study.models) * 5
-    stored = read_times(plan.directory)
-    assert {one.case for one in stored[plan.cases[0].mesh].values()} == {plan.cases[0].label}
+    assert asked == list(plan.study.study.models) * 5, "models take turns"
+    first = (plan.directory / TIMES).read_bytes()
+    again = plan_of(tmp_path / "run", cache, **LIMITED)
+    assert again.cases_to_run() == []
+    timed(again, [])
+    assert (plan.directory / TIMES).read_bytes() != first, "measured anew, whatever the cache has"
+    ((mesh, found),) = read_times(plan.directory).items()
+    assert mesh == plan.cases[0].mesh
+    assert set(found) == set(plan.study.study.models)
+    for model in found.values():
+        assert model.case == plan.cases[0].label
+        assert model.contact.shape == model.everywhere.shape == (5,)
+        assert np.isfinite([model.setup, model.contact, model.everywhere]).all()
+
+    other = plan_of(tmp_path / "other", cache, tables=TABLES)
+    assert not _decides(other)
+    timed(other, [])
+    assert not (other.directory / TIMES).exists()
