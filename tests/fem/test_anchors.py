@@ -74,7 +74,9 @@ def test_thick_cylinder_as_published(poisson_ratio: float, value: float, verifie
 
 
 @a_sphere
-@pytest.mark.parametrize("poisson_ratio", [0.3, pytest.param(0.4999, marks=pytest.mark.slow), 0.5])
+@pytest.mark.parametrize(
+    "poisson_ratio", [*(pytest.param(nu, marks=pytest.mark.slow) for nu in (0.3, 0.4999)), 0.5]
+)
 def test_thick_sphere(poisson_ratio: float, verified: Verified) -> None:
     """An octant on rollers; the pressure depends on the resultant alone and is exact on flat facets too."""
     exact = ThickSphere(1.0, 2.0, 1.0, poisson_ratio, 1.0)
@@ -180,10 +182,9 @@ def _check_ball(verified: Verified, degree: int, levels: tuple[int, ...], cap: f
 
 
 @a_ball
-@pytest.mark.parametrize(("degree", "cap"), [(2, 0.018), (3, 0.025), (4, 0.04)])
-def test_ball_under_a_legendre_traction(degree: int, cap: float, verified: Verified) -> None:
+def test_ball_under_a_legendre_traction(verified: Verified) -> None:
     """Normal and tangential displacement at the surface of the incompressible ball."""
-    _check_ball(verified, degree, (2, 3), cap)
+    _check_ball(verified, 4, (2, 3), 0.04)
 
 
 @a_ball

@@ -130,7 +130,7 @@ def test_linear_solution_equals_ngsolve(nu: float) -> None:
     ("nu", "material"),
     [
         *((nu, "neo-hookean") for nu in (0.45, 0.4999, 0.5)),
-        *((nu, material) for nu in (0.3, 0.5) for material in ("mooney-rivlin", "yeoh", "fung")),
+        *((0.5, "mooney-rivlin"), (0.3, "yeoh"), (0.5, "fung")),
     ],
 )
 def test_finite_strain_solution_equals_ngsolve(nu: float, material: str) -> None:

@@ -149,17 +149,12 @@ def _check_limits(
 
 
 @a_membrane
+@pytest.mark.slow
 def test_cooks_membrane(verified: Verified) -> None:
     """The held corner is singular: between orders 1 and 2."""
-    _check_limits(verified, _cook, (4, 8, 16), rates=(2.0, 4.0), change=0.015)
+    _check_limits(verified, _cook, (8, 16, 32), rates=(2.0, 4.0), change=0.007)
     locked = _cook(16, "P1", 0.49999) / _cook(16, "P2-P1", 0.5)
     verified.at_most("P1 at nu = 0.49999 over P2-P1 at 0.5", locked, 0.3)
-
-
-@a_membrane
-@pytest.mark.slow
-def test_cooks_membrane_on_fine_meshes(verified: Verified) -> None:
-    _check_limits(verified, _cook, (8, 16, 32), rates=(2.0, 4.0), change=0.007)
 
 
 def _block(n: int, element: str, poisson_ratio: float) -> float:
@@ -173,15 +168,6 @@ def _block(n: int, element: str, poisson_ratio: float) -> float:
     s = problem.solve([b.load(1.0 * loaded)], frozenset({"compliance"}))
     assert s.status[0].ok
     return float(s.scalars["compliance"][0])
-
-
-@a_block
-def test_block_compression_does_not_lock(verified: Verified) -> None:
-    ratio = _block(8, "P2-P1", 0.49999) / _block(8, "P2-P1", 0.5)
-    verified.equal("P2-P1, n = 8: compliance at nu = 0.49999 over that at 0.5", ratio, 1.0, atol=1e-4)
-    verified.at_most(
-        "P1 at nu = 0.49999 over P2-P1 at 0.5", _block(8, "P1", 0.49999) / _block(8, "P2-P1", 0.5), 0.3
-    )
 
 
 @a_block
