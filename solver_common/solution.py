@@ -58,7 +58,6 @@ class Solution:
     seconds_per_step : (S,) time of each step after set-up [s]
     parameters : the material and solver parameters that were used
     scalars : further (S,) outputs by name
-    point_fields : further (S, N) outputs by name [Pa], see `vdm.model.OUTPUTS`
     part_of_node : (N,) part that a node belongs to, from 1, on a cut the last of its parts; None of a body that is
         not cut
     """
@@ -73,5 +72,4 @@ class Solution:
     seconds_per_step: Array
     parameters: dict[str, float | str] = field(default_factory=dict)
     scalars: dict[str, Array] = field(default_factory=dict)
-    point_fields: dict[str, Array] = field(default_factory=dict)
     part_of_node: NDArray[np.int64] | None = None

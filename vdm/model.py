@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -74,7 +74,6 @@ FORMULATIONS: dict[str, type[Formulation]] = {
         MassSpringFormulation,
     )
 }
-OUTPUTS: tuple[str, ...] = ("nodal_stress", "normal_traction")
 
 
 class Model:
@@ -92,7 +91,6 @@ class Model:
     gravity : (3,) [m/s^2], constant over the history like the environment's pressure
     environment_pressure : P_ep [Pa]
     solver : one of `vdm.solvers.SOLVERS`, or of the printed form "figure-8"
-    outputs : further point fields, of `OUTPUTS`; nothing else is computed
     contact_sign : "inward", or "printed" for the sign of equation 24
     constraint_method : "elimination", or one of the paper's two penalties (solver "lu")
     penalty : alpha over the largest diagonal entry of the state matrix
@@ -121,7 +119,6 @@ class Model:
         gravity: ArrayLike = (0.0, 0.0, 0.0),
         environment_pressure: float = 0.0,
         solver: str = "linear",
-        outputs: Collection[str] = (),
         contact_sign: ContactSign = "inward",
         constraint_method: ConstraintMethod = "elimination",
         penalty: float = 1e8,
@@ -131,9 +128,7 @@ class Model:
         cut: Cut | None = None,
     ) -> None:
         start = time.perf_counter()
-        _check_choices(
-            formulation, solver, outputs, constraint_method, contact_sign, volume_row, stop, tolerance
-        )
+        _check_choices(formulation, solver, constraint_method, contact_sign, volume_row, stop, tolerance)
         if not np.isfinite(environment_pressure):
             raise ConstraintError(f"environment_pressure must be finite, not {environment_pressure}")
         self.surface = SurfaceMesh(points, triangles)
@@ -172,7 +167,6 @@ class Model:
         start += time.perf_counter() - compiling
         self.formulation = form.supported(self.surface, parameters, support.held)
         self.problem = Problem(self.formulation, support)
-        self.outputs = tuple(outputs)
         self.solver_name = solver
         self.solver: Solver
         self.solver = _make_solver(
@@ -225,7 +219,6 @@ class Model:
         shape_error = np.empty(count)
         iterations = np.empty(count, dtype=np.int64)
         status: list[Status] = []
-        fields = {name: np.empty((count, n_nodes)) for name in self.outputs}
         told: list[dict[str, float]] = []
         reached = np.ones(count)
         last: Step | None = None
@@ -251,8 +244,6 @@ class Model:
             apart = told[-1].get("parts_error", np.nan)
             errors = (bending, mesh_error[k], self._solved.formulation, apart, shape_error[k])
             status.append(reserved(last.status, *errors))
-            for name, values in fields.items():
-                values[k] = self._point_field(name, step)
         return Solution(
             displacement=displacement,
             fluid_pressure=pressure + self.problem.support.environment_pressure,
@@ -272,7 +263,6 @@ class Model:
                 **{name: np.array([one.get(name, np.nan) for one in told]) for name in _names(told)},
                 **(self.condition_scalars(count) if condition else {}),
             },
-            point_fields=fields,
             part_of_node=self.solver.part_of_node if isinstance(self.solver, PartsSolver) else None,
         )
 
@@ -355,17 +345,6 @@ class Model:
             **({} if np.isnan(self.bending_error) else {"bending_error": self.bending_error}),
         }
 
-    def _point_field(self, name: str, step: Step) -> Array:
-        surface, formulation = self.surface, self.formulation
-        if name == "nodal_stress" and isinstance(formulation, PaperFormulation):
-            normal = np.einsum("ic,ic->i", step.displacement, surface.normals)
-            return formulation.nodal_stress(normal)
-        force = formulation.nodal_force(formulation.internal_force(step.unknown, step.border, step.product))
-        pressed = formulation.pressure_force(np.ones(surface.n_nodes))
-        area = np.einsum("ic,ic->i", formulation.nodal_force(pressed), surface.normals)
-        traction: Array = np.einsum("ic,ic->i", force, surface.normals) / area
-        return traction
-
 
 def _names(told: Sequence[dict[str, float]]) -> list[str]:
     """All names in some dictionaries, in the order in which they first come."""
@@ -407,7 +386,6 @@ def _make_solver(
 def _check_choices(
     formulation: str,
     solver: str,
-    outputs: Collection[str],
     constraint_method: ConstraintMethod,
     contact_sign: ContactSign,
     volume_row: VolumeRow | None,
@@ -421,7 +399,6 @@ def _check_choices(
         (contact_sign, CONTACT_SIGNS, "contact_sign"),
         *((row, VOLUME_ROWS, "volume_row") for row in (volume_row,) if row is not None),
         *((rule, STOPS, "stop") for rule in (stop,) if rule is not None),
-        *((output, OUTPUTS, "outputs") for output in outputs),
     ):
         if value not in allowed:
             raise ParameterError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
@@ -437,7 +414,3 @@ def _check_choices(
         raise ParameterError(f"stop is read by {FIGURE_8}; the {solver} solver has none")
     if constraint_method != "elimination" and solver != "lu":
         raise ParameterError('a penalty needs solver "lu"; the other solvers eliminate held nodes exactly')
-    if "nodal_stress" in outputs and formulation != "paper":
-        raise ParameterError(
-            "nodal_stress (equation 9) is defined by the paper formulation; ask for normal_traction"
-        )

@@ -200,6 +200,20 @@ class LinearStep(Step):
         nodal = self.problem.formulation.nodal_force(self.internal)
         return 0.5 * float(np.vdot(self.displacement, nodal))
 
+    @property
+    def normal_traction(self) -> Array:
+        """(N,) what the material gives along the normals, over the area that a pressure acts on [Pa].
+
+        At free nodes it balances fluid and contact (9, as the tension of equation 8 has it).
+        """
+        formulation = self.problem.formulation
+        normals = formulation.surface.normals
+        pressed = formulation.nodal_force(formulation.pressure_force(np.ones(len(normals))))
+        force, area = (
+            np.einsum("ic,ic->i", part, normals) for part in (formulation.nodal_force(self.internal), pressed)
+        )
+        return np.asarray(force / area)
+
     def lacking_at_held(self) -> Array:
         """As in `Step`."""
         nodes = self.problem.held_nodes

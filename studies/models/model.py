@@ -18,7 +18,7 @@ from solver_common.solution import Solution, Status
 
 from ..body.surface_measures import enclosed_volumes
 from ..machine import peak_bytes_since, reset_peak
-from ..scene.result import REFUSED, ModelResult
+from ..scene.result import REFUSED, STEPS, ModelResult, answered, unanswered
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.errors import InputError, listed
 from ..study.registry import MODELS, Model, find, lacks, own_parameters, reads
@@ -96,14 +96,16 @@ class Prepared:
 
         A step that failed holds NaN; with `ends` the last state on the way to it, of a model that keeps that.
         """
+        model, n_nodes = self.model, len(self._scene.fixed)
         if self.set_up is None:
-            return _failed(self._scene, self.model, self._refusal, len(loads))
+            return unanswered([self._refusal] * len(loads), n_nodes, model.version)
         try:
             solution = self.set_up.solve(loads)
-            _check(solution, self.model.name, len(loads), len(self._scene.fixed))
+            _check(solution, model.name, len(loads), n_nodes)
         except (Exception, SystemExit) as error:  # noqa: BLE001
-            return _failed(self._scene, self.model, _refusal(error, self.model.name), len(loads))
-        return _result(self._scene, solution, peak_bytes_since(self._resident), self.model, ends=ends)
+            return unanswered([_refusal(error, model.name)] * len(loads), n_nodes, model.version)
+        result = _result(self._scene, solution, peak_bytes_since(self._resident), model)
+        return result if ends else answered(result)
 
 
 def run_model(scene: Scene, name: str) -> ModelResult:
@@ -170,42 +172,13 @@ def _believed(solution: Solution, name: str) -> tuple[Status, ...]:
     )
 
 
-def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model, *, ends: bool) -> ModelResult:
+def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model) -> ModelResult:
+    """The solution as far as it is believed; a step that failed holds the last state on the way to it, or NaN."""
     states = _believed(solution, model.name)
-    usable = np.array([status.ok for status in states])
-    if ends:
-        usable |= np.nan_to_num(solution.scalars.get("load_factor", np.zeros(len(usable)))) > 0.0
-    displacement = np.where(usable[:, None, None], solution.displacement, np.nan)
-    points, triangles = scene.mesh.surface_points, scene.mesh.triangles
     given: dict[str, Any] = {part.name: getattr(solution, part.name) for part in dataclasses.fields(Solution)}
-    believed = {
-        "displacement": displacement,
-        "fluid_pressure": np.where(usable, solution.fluid_pressure, np.nan),
-        "reaction_force": np.where(usable[:, None, None], solution.reaction_force, np.nan),
-        "energy": np.where(usable, solution.energy, np.nan),
-        "status": states,
-    }
-    return ModelResult(
-        **given | believed,
-        volume=enclosed_volumes(points + displacement, triangles),
-        peak_bytes=peak_bytes,
-        version=model.version,
-    )
-
-
-def _failed(scene: Scene, model: Model, reason: Status, n_steps: int) -> ModelResult:
-    vectors = np.full((n_steps, len(scene.fixed), 3), np.nan)
-    numbers = np.full(n_steps, np.nan)
-    return ModelResult(
-        displacement=vectors,
-        fluid_pressure=numbers,
-        reaction_force=vectors,
-        energy=numbers,
-        volume=numbers,
-        iterations=np.zeros(n_steps, dtype=np.int64),
-        status=(reason,) * n_steps,
-        seconds_setup=np.nan,
-        seconds_per_step=numbers,
-        peak_bytes=0,
-        version=model.version,
-    )
+    given |= {name: np.asarray(given[name]) for name in STEPS if name in given} | {"status": states}
+    none = np.zeros(len(states))
+    result = ModelResult(**given, volume=none, peak_bytes=peak_bytes, version=model.version)
+    result = answered(result, kept=np.nan_to_num(solution.scalars.get("load_factor", none)) > 0.0)
+    points = scene.mesh.surface_points + result.displacement
+    return dataclasses.replace(result, volume=enclosed_volumes(points, scene.mesh.triangles))

@@ -1,13 +1,15 @@
-"""What a model answers, as plain data."""
+"""What a model answers, as plain data: a table of load steps, some of which are picked, joined, or lost."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
-from solver_common.arrays import Array
-from solver_common.solution import Solution
+from solver_common.arrays import Array, Index, Mask
+from solver_common.solution import Solution, Status
 
 REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
 
@@ -65,3 +67,77 @@ class ModelResult(Solution):
         taken = self.scalars.keys() & {own.name for own in fields(self)}
         if taken:  # they are columns of one table
             raise ValueError(f"a model's own output cannot be called {min(taken)!r}: every result has one")
+
+
+# arrays of a result that have one entry a load step
+STEPS = (
+    "displacement",
+    "fluid_pressure",
+    "reaction_force",
+    "energy",
+    "volume",
+    "iterations",
+    "seconds_per_step",
+)
+
+
+def steps_of(result: ModelResult, steps: Sequence[int] | Index) -> ModelResult:
+    """Some steps of a result."""
+    chosen = np.asarray(steps, dtype=int)
+    arrays: Any = {name: getattr(result, name)[chosen] for name in STEPS}
+    return replace(
+        result,
+        **arrays,
+        status=tuple(result.status[step] for step in chosen.tolist()),
+        scalars={name: values[chosen] for name, values in result.scalars.items()},
+    )
+
+
+def joined(first: ModelResult, parts: Sequence[ModelResult]) -> ModelResult:
+    """The steps of some results of one model, one after the other; what is not of steps is that of the `first`."""
+    arrays: Any = {name: np.concatenate([getattr(part, name) for part in parts]) for name in STEPS}
+    return replace(
+        first,
+        **arrays,
+        status=tuple(status for part in parts for status in part.status),
+        scalars={
+            name: np.concatenate(
+                [part.scalars.get(name, np.full(len(part.status), np.nan)) for part in parts]
+            )
+            for name in first.scalars
+        },
+    )
+
+
+def answered(result: ModelResult, kept: Mask | bool = False) -> ModelResult:
+    """A result that has no answer to steps that failed, but to those that are `kept` (S,)."""
+    lost = np.array([not status.ok for status in result.status], dtype=bool) & ~np.asarray(kept)
+    if not lost.any():
+        return result
+    each = lost[:, None, None]
+    return replace(
+        result,
+        displacement=np.where(each, np.nan, result.displacement),
+        reaction_force=np.where(each, np.nan, result.reaction_force),
+        fluid_pressure=np.where(lost, np.nan, result.fluid_pressure),
+        energy=np.where(lost, np.nan, result.energy),
+        volume=np.where(lost, np.nan, result.volume),
+    )
+
+
+def unanswered(status: Sequence[Status], n_nodes: int, version: str) -> ModelResult:
+    """A result without any answer on N nodes, and why for each step."""
+    numbers, vectors = np.full(len(status), np.nan), np.full((len(status), n_nodes, 3), np.nan)
+    return ModelResult(
+        displacement=vectors,
+        fluid_pressure=numbers,
+        reaction_force=vectors.copy(),
+        energy=numbers,
+        volume=numbers,
+        iterations=np.zeros(len(status), dtype=np.int64),
+        status=tuple(status),
+        seconds_setup=np.nan,
+        seconds_per_step=numbers,
+        peak_bytes=0,
+        version=version,
+    )

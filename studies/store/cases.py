@@ -71,8 +71,7 @@ def write_case(path: Path, case: CaseResult) -> None:
         "versions": _metric_versions(),
         **plain(case, without=_NOT_TOLD),
         "models": {
-            name: plain(model, without=(*_FIELDS, PART, "point_fields", "frames"))
-            for name, model in case.models.items()
+            name: plain(model, without=(*_FIELDS, PART, "frames")) for name, model in case.models.items()
         },
         "metrics": {
             name: {key: one.values for key, one in found.items()} for name, found in case.metrics.items()

@@ -3,30 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-
-from solver_common.arrays import Index
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
 from ..machine import read_arrays, write_arrays
-from ..scene.result import ModelResult
+from ..scene.result import STEPS, ModelResult, joined, steps_of
 from ..store.plain import typed
-
-# arrays of a result that have one entry a load step
-STEPS = (
-    "displacement",
-    "fluid_pressure",
-    "reaction_force",
-    "energy",
-    "volume",
-    "iterations",
-    "seconds_per_step",
-)
 
 
 def answer_path(cache: Path, key: str) -> Path:
@@ -44,7 +30,7 @@ def read_answer(path: Path) -> ModelResult | None:
     stored = read_arrays(path)
     if stored is None:
         return None
-    arrays = {name: stored[name] for name in (*STEPS, "scalars", "point_fields", "part_of_node")}
+    arrays = {name: stored[name] for name in (*STEPS, "scalars", "part_of_node")}
     return typed(ModelResult, stored, **arrays)
 
 
@@ -55,17 +41,6 @@ def stored_answer(cache: Path, key: str) -> ModelResult:
     if answer is None:
         raise FileNotFoundError(2, "an answer is gone, or damaged; run again", str(path))
     return answer
-
-
-def steps_of(result: ModelResult, steps: Sequence[int] | Index) -> ModelResult:
-    """Some steps of a result."""
-    chosen = np.asarray(steps, dtype=int)
-    return dataclasses.replace(
-        result,
-        **{name: getattr(result, name)[chosen] for name in STEPS},
-        status=tuple(result.status[step] for step in chosen.tolist()),
-        scalars={name: values[chosen] for name, values in result.scalars.items()},
-    )
 
 
 def combined(
@@ -82,25 +57,16 @@ def combined(
     factors = np.array(scales)
     first = answers[0]
     if all(answer is first for answer in answers):  # a load history of one load
-        answers = [first]
-    places = np.zeros(len(factors), dtype=int) if len(answers) == 1 else np.arange(len(factors))
-    stacked: Mapping[str, Any] = {
-        name: np.concatenate([getattr(answer, name) for answer in answers])[places] for name in STEPS
-    }
-    displacement = factors[:, None, None] * stacked["displacement"]
+        whole = steps_of(first, np.zeros(len(factors), dtype=int))
+    else:
+        whole = joined(first, answers)
+    displacement = factors[:, None, None] * whole.displacement
     return dataclasses.replace(
-        first,
-        **{name: stacked[name] for name in ("iterations", "seconds_per_step")},
+        whole,
         displacement=displacement,
-        reaction_force=factors[:, None, None] * stacked["reaction_force"],
-        fluid_pressure=factors * (stacked["fluid_pressure"] - datum) + datum,
-        energy=factors**2 * stacked["energy"],
+        reaction_force=factors[:, None, None] * whole.reaction_force,
+        fluid_pressure=factors * (whole.fluid_pressure - datum) + datum,
+        energy=factors**2 * whole.energy,
         volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
-        status=tuple(answers[place].status[0] for place in places.tolist()),
         peak_bytes=max(answer.peak_bytes for answer in answers),
-        scalars={
-            name: np.concatenate([answer.scalars[name] for answer in answers])[places]
-            for name in first.scalars
-            if all(name in answer.scalars for answer in answers)
-        },
     )

@@ -20,18 +20,18 @@ from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
 from ..measures.pushed import Answer
 from ..measures.reference import own_error
 from ..models import find
-from ..scene.result import ModelResult
+from ..scene.result import ModelResult, answered, steps_of
 from ..scene.scene import Scene, build_scene
 from ..store.cases import write_case
 from ..store.plain import typed
 from ..study.files import without_folders
 from ..study.registry import REFINED
 from ..study.schema import Study
-from .cache import combined, steps_of, stored_answer
+from .cache import combined, stored_answer
 from .keys import Wanted
 from .plan import PlannedCase
 from .provenance import provenance
-from .reached import answered, at_what_was_reached
+from .reached import at_what_was_reached
 from .small_strain import small_strain_limits
 
 Payload = Mapping[str, Any]

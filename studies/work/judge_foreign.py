@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
-from solver_common.solution import Status
+from solver_common.solution import CONVERGED, Status
 
 from ..body.mesh import Mesh
 from ..body.surface_measures import enclosed_volumes
@@ -14,7 +12,7 @@ from ..measures.case import CaseResult, Run
 from ..measures.foreign import Foreign
 from ..measures.measurement import hold_against
 from ..measures.pushed import Answer
-from ..scene.result import ModelResult
+from ..scene.result import ModelResult, unanswered
 from ..scene.scene import build_scene
 from ..study.schema import Study
 from .case import compare, loaded_surface
@@ -62,22 +60,13 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
 
 def _as_result(case: CaseResult, mesh: Mesh, foreign: Foreign) -> ModelResult:
     """The file's state as a load history in which only the largest load was solved; its cost is not known."""
-    steps = len(case.load_factors)
-    displacement = np.full((steps, *mesh.surface_points.shape), np.nan)
-    displacement[case.full_load] = foreign.displacement
-    nothing = np.full(steps, np.nan)
-    return ModelResult(
-        displacement=displacement,
-        fluid_pressure=nothing,
-        reaction_force=np.full_like(displacement, np.nan),
-        energy=nothing,
-        volume=enclosed_volumes(mesh.surface_points + displacement, mesh.triangles),
-        iterations=np.zeros(steps, dtype=np.int64),
-        status=tuple(Status("converged") if k == case.full_load else NO_STEP for k in range(steps)),
-        seconds_setup=np.nan,
-        seconds_per_step=nothing,
-        peak_bytes=0,
-        version="",
+    status = [NO_STEP] * len(case.load_factors)
+    status[case.full_load] = CONVERGED
+    result = unanswered(status, len(mesh.surface_points), "")
+    result.displacement[case.full_load] = foreign.displacement
+    return dataclasses.replace(
+        result,
+        volume=enclosed_volumes(mesh.surface_points + result.displacement, mesh.triangles),
         parameters={
             "exact_nodes": foreign.exact,
             "mapping_distance": foreign.distance,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
@@ -16,11 +15,10 @@ from ..body.refine import Hierarchy
 from ..measures.reference import level_scene, restricted
 from ..models import run_model
 from ..models.model import BROKEN
-from ..scene.result import REFUSED, ModelResult
+from ..scene.result import REFUSED, ModelResult, answered, joined, steps_of
 from ..scene.scene import Scene
 from ..study.registry import SCANNED
 from ..study.schema import Study
-from .cache import STEPS, steps_of
 from .keys import Wanted
 
 # Of a load step: down to a whole one of them where the state is not kept; a way from rest reaches it as well.
@@ -77,7 +75,7 @@ def at_what_was_reached(
         for k in np.flatnonzero(lost & (between | (want.level > 0))).tolist():
             if own[k].status[0].ok:
                 own[k] = dataclasses.replace(own[k], status=(status,))
-        merged.append((want, answered(_joined(result, own))))
+        merged.append((want, answered(joined(result, own))))
     return places, merged
 
 
@@ -96,33 +94,3 @@ def _end(result: ModelResult) -> tuple[float, Status]:
 def _is_kept(step: ModelResult) -> bool:
     """Whether a step that failed holds the last state on the way to it."""
     return bool(np.isfinite(step.displacement).all())
-
-
-def _joined(result: ModelResult, steps: Sequence[ModelResult]) -> ModelResult:
-    """A result with other steps, of one each."""
-    arrays: Any = {name: np.concatenate([getattr(step, name) for step in steps]) for name in STEPS}
-    return dataclasses.replace(
-        result,
-        **arrays,
-        status=tuple(step.status[0] for step in steps),
-        scalars={
-            name: np.concatenate([step.scalars.get(name, np.array([np.nan])) for step in steps])
-            for name in result.scalars
-        },
-    )
-
-
-def answered(result: ModelResult) -> ModelResult:
-    """A result that has no answer to steps that failed, on the way to which it holds a state."""
-    lost = np.array([not status.ok for status in result.status])
-    if not lost.any():
-        return result
-    each = lost[:, None, None]
-    return dataclasses.replace(
-        result,
-        displacement=np.where(each, np.nan, result.displacement),
-        reaction_force=np.where(each, np.nan, result.reaction_force),
-        fluid_pressure=np.where(lost, np.nan, result.fluid_pressure),
-        energy=np.where(lost, np.nan, result.energy),
-        volume=np.where(lost, np.nan, result.volume),
-    )

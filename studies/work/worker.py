@@ -24,12 +24,13 @@ from ..body.refine import Hierarchy, refine, refined
 from ..machine import processor_name
 from ..measures.reference import level_scene, restricted
 from ..models import Prepared
+from ..scene.result import steps_of
 from ..scene.scene import Scene, build_scene
 from ..store.plain import typed
 from ..store.run_directory import add_times
 from ..study.errors import InputError, install_line
 from ..study.schema import Study
-from .cache import answer_path, read_answer, steps_of, write_answer
+from .cache import answer_path, read_answer, write_answer
 from .case import make_case
 from .keys import level_key
 from .plan import PlannedCase

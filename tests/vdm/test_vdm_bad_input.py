@@ -68,7 +68,6 @@ def parameters() -> Iterator[Refused]:
         without, zero = (dict.fromkeys(moduli, value) for value in (None, 0.0))
         yield ParameterError, moduli[0], lambda n=name, m=without: model(n, Parameters(**m))
         yield ParameterError, f"{moduli[-1]}.*positive", lambda n=name, m=zero: model(n, Parameters(**m))
-    yield ParameterError, "outputs must be one of", lambda: model("paper", outputs=("colour",))
     yield ParameterError, 'needs solver "lu"', lambda: model("paper", constraint_method="penalty-added")
     for option, value in (("contact_sign", "outward"), ("volume_row", "exactly"), ("solver", "")):
         told = f"{option} must be one of .*, not '{value}'"
