@@ -28,8 +28,7 @@ from fem_reference.linear import LinearProblem
 from fem_reference.loads import Load
 from solver_common.arrays import Array, Index
 from solver_common.quadrature import facet_quadrature
-from vdm.solvers.columns import ContactColumns
-from vdm.solvers.compliance import ContactCompliance
+from vdm.solvers.columns import ContactColumns, contact_columns
 from vdm.solvers.linear import LinearSolver
 
 from ..scene.result import FrameTimes, ModelResult
@@ -141,9 +140,9 @@ def contact_frame(problem: Problem, scene: Scene) -> Frame:
     nodes = np.flatnonzero(scene.contact)
     if not isinstance(problem, LinearSolver):
         columns = _element_columns(problem, scene, nodes)
-        return ContactColumns(columns.astype(np.float32), scene.mesh.surface_points, nodes).frame
+        return ContactColumns(columns, scene.mesh.surface_points, nodes).frame
     push = scene.contact_force / np.where(scene.contact, scene.contact_pressure, 1.0)[:, None]
-    prepared = ContactCompliance(problem.problem, problem, push=push).prepare(nodes)
+    prepared = contact_columns(problem, nodes, push)
 
     def frame(pressure: Array) -> tuple[Array, float]:
         unknown, fluid_pressure = prepared.frame(pressure)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from tests.vdm.vdm_shapes import BASE, POINTS, icosphere, model
 from vdm import FORMULATIONS, ConstraintError, Load, Model, Parameters, SurfaceMesh
 from vdm.solvers import columns
-from vdm.solvers.compliance import ContactCompliance
+from vdm.solvers.columns import ContactColumns, contact_columns
 
 TOP = POINTS[:, 2] > 0.04
 RANDOM = np.random.default_rng(5)
@@ -127,12 +127,12 @@ def solver(request) -> Model:
     return Model(FINE, FINE_FACETS, material, formulation=request.param, fixed=FINE_BASE)
 
 
-def error_of_a_frame(contact: ContactCompliance, body: Model, nodes, pressure) -> float:
+def error_of_a_frame(contact: ContactColumns, body: Model, nodes, pressure) -> float:
     """Of displacement and fluid's pressure against the full solve, the larger in parts of its largest value."""
     load = np.zeros(len(FINE))
     load[nodes] = pressure
     solution = body.solve([Load(load)])
-    unknown, fluid = contact.frame(nodes, pressure)
+    unknown, fluid = contact.frame(pressure)
     moved, full = body.formulation.displacement(unknown), solution.displacement[0]
     size = np.abs(full).max()
     if not size:
@@ -141,29 +141,28 @@ def error_of_a_frame(contact: ContactCompliance, body: Model, nodes, pressure) -
 
 
 def test_frames_of_a_resting_contact_equal_the_full_solve(solver):
-    contact = ContactCompliance(solver.problem)
+    contact = contact_columns(solver.solver, PATCH)
     rng = np.random.default_rng(5)
     pressures = [rng.random(50), rng.random(50) ** 8, np.eye(50)[7], np.eye(50)[49], np.zeros(50)]
     for k, pressure in enumerate(100.0 * np.array(pressures)):
         assert error_of_a_frame(contact, solver, PATCH, pressure) < 1e-6
-        assert (contact.prepare(PATCH)._short is not None) == (k > 0), "shortened at the second frame"
-    columns = contact.prepare(PATCH)
-    short = columns._short
+        assert (contact._short is not None) == (k > 0), "shortened at the second frame"
+    short = contact._short
     assert short is not None
     assert len(short.bases) == solver.formulation.components
     assert all(basis.shape[1] < 30 for basis in short.bases)
     assert sum(basis.shape[1] for basis in short.bases) == len(short.mixes)
-    assert columns.nbytes < 0.75 * columns.columns.nbytes
+    assert contact.nbytes < 0.75 * contact.columns.nbytes
 
 
 def test_a_contact_all_over_the_body_is_not_shortened(solver):
     nodes = np.flatnonzero(~FINE_BASE)[::50]
-    contact = ContactCompliance(solver.problem)
+    contact = contact_columns(solver.solver, nodes)
     for _ in range(3):
         assert error_of_a_frame(contact, solver, nodes, np.full(len(nodes), 50.0)) < 1e-6
-    assert contact.prepare(nodes)._short is None
+    assert contact._short is None
     with pytest.raises(ConstraintError, match="contact nodes"):
-        contact.prepare(np.array([len(FINE)]))
+        contact_columns(solver.solver, np.array([len(FINE)]))
 
 
 @pytest.mark.parametrize(("axis", "least"), [(0, 0.5), (2, 0.3)])
@@ -177,12 +176,12 @@ def test_a_contact_is_shortened_from_where_it_reads_least(axis, least, monkeypat
     sizes = []
     for reaches in (columns.REACHES, *columns.REACHES[:, None]):
         monkeypatch.setattr(columns, "REACHES", reaches)
-        contact = ContactCompliance(model.problem)
+        contact = contact_columns(model.solver, nodes)
         for _ in range(2):
-            contact.frame(nodes, np.full(len(nodes), 50.0))
-        sizes.append(contact.prepare(nodes).nbytes)
+            contact.frame(np.full(len(nodes), 50.0))
+        sizes.append(contact.nbytes)
     assert sizes[0] == min(sizes[1:])
-    assert least < sizes[0] / contact.prepare(nodes).columns.nbytes < least + 0.4
+    assert least < sizes[0] / contact.columns.nbytes < least + 0.4
 
 
 def test_the_printed_sign_holds_for_columns_too():
@@ -191,9 +190,9 @@ def test_the_printed_sign_holds_for_columns_too():
         FINE, FINE_FACETS, material, formulation="consistent", fixed=FINE_BASE, contact_sign="printed"
     )
     pressure = np.linspace(1.0, 50.0, len(PATCH))
-    contact = ContactCompliance(body.problem)
+    contact = contact_columns(body.solver, PATCH)
     assert error_of_a_frame(contact, body, PATCH, pressure) < 1e-6
-    found = body.formulation.displacement(contact.frame(PATCH, pressure)[0])
+    found = body.formulation.displacement(contact.frame(pressure)[0])
     assert found[PATCH[0]] @ FINE_BODY.normals[PATCH[0]] > 0.0, "bulges towards the finger"
 
 
@@ -206,9 +205,8 @@ def test_the_sparse_form_leaves_out_what_its_own_error_hides():
         formulation="bem-sparse",
         fixed=FINE_BASE,
     )
-    contact, pressure = ContactCompliance(body.problem), np.random.default_rng(7).random(50)
-    contact.frame(PATCH, pressure)
+    contact, pressure = contact_columns(body.solver, PATCH), np.random.default_rng(7).random(50)
+    contact.frame(pressure)
     error = error_of_a_frame(contact, body, PATCH, pressure)
-    columns = contact.prepare(PATCH)
-    assert columns.nbytes < 0.8 * columns.columns.nbytes
+    assert contact.nbytes < 0.8 * contact.columns.nbytes
     assert 1e-7 < error < 1e-4

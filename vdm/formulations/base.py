@@ -15,8 +15,10 @@ from vdm.deformed import DeformedSurface, follow
 from vdm.formulations.border import Columns, DenseColumns
 from vdm.material import Parameters
 from vdm.solvers.cholesky import Cholesky
-from vdm.solvers.columns import LEFT_OUT
 from vdm.surface import SurfaceMesh, rigid_motions
+
+# what a contact's columns may leave out far away, of the largest answer to contact pressures of the same size
+LEFT_OUT = 1e-7
 
 
 class Factor(Protocol):
@@ -61,7 +63,7 @@ class Formulation(ABC):
     name: ClassVar[str]
     components: ClassVar[int]
     has_matrix: bool = True  # whether `stiffness` gives one
-    left_out_far: float = LEFT_OUT  # of a contact's columns far away, see `vdm.solvers.columns`
+    left_out_far: float = LEFT_OUT  # see `vdm.solvers.columns`
     # what to do where a motion that costs no energy is left free
     remedy: ClassVar[str] = "hold an area of the surface, the nodes of some of its facets"
     columns: Columns

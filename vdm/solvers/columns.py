@@ -1,18 +1,24 @@
-"""A small dense product per frame: the answers of a surface to unit pressures on the nodes of a contact at rest."""
+"""Local contact (Fig. 5), a small dense product per frame.
+
+The answers of a surface to unit pressures on the nodes of a contact at rest are computed once.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from solver_common.arrays import Array, Index
+from vdm.constraints import ConstraintError, Load
+from vdm.formulations.base import LEFT_OUT
+from vdm.solvers.linear import LinearSolver
 
+# right-hand sides per pass through the factor: wider blocks no longer gain and cost memory
+BATCH = 32
 # radii of the contact from its middle, beyond which the columns of its nodes may be taken to look alike
 REACHES = np.arange(2.0, 9.0)
-# what may be left out there, of the largest answer to contact pressures of the same size, where the form that the
-# columns are of says no other
-LEFT_OUT = 1e-7
 
 
 @dataclass(frozen=True)
@@ -50,23 +56,24 @@ class _Shortened:
 class ContactColumns:
     """Answers to pressures on the nodes of a contact that rests, whatever model its columns come from.
 
-    A frame is a dense product with the columns: d N + 1 values for each contact node. In single precision, which
-    halves the memory that a frame reads, the columns are shortened at the second frame: far from the contact they
+    A frame is a dense product with the columns: d N + 1 values for each contact node, in single precision, which
+    halves the memory that a frame reads. At the second frame the columns are shortened: far from the contact they
     look alike, and fewer directions than nodes span them. Both together err by less than 1e-6 of the
     largest displacement that pressures of the same size can cause, or by `left_out` where that is more.
 
     Parameters
     ----------
-    columns : (d N + 1, k) answers to unit pressures, one component of all nodes after the other, then a pressure;
-        in 32 bits, which are shortened, or in 64 bits, which stay as they are
+    columns : (d N + 1, k) answers to unit pressures, one component of all nodes after the other, then a pressure
     points : (N, 3) of the surface
     nodes : (k,) of the contact
     left_out : largest error of the shortened columns, of the largest answer to pressures of the same size
     """
 
-    def __init__(self, columns: Array, points: Array, nodes: Index, left_out: float = LEFT_OUT) -> None:
-        self.columns = np.asfortranarray(columns)
-        self._points, self._nodes = points, nodes.copy()  # the caller may change its array
+    def __init__(
+        self, columns: NDArray[np.floating], points: Array, nodes: Index, left_out: float = LEFT_OUT
+    ) -> None:
+        self.columns: Array = np.asfortranarray(columns, dtype=np.float32)
+        self._points, self._nodes = points, nodes
         self._left_out = left_out
         self._frames = 0
         self._short: _Shortened | None = None
@@ -78,9 +85,9 @@ class ContactColumns:
 
     def frame(self, pressure: Array) -> tuple[Array, float]:
         """Unknowns x (N, d) and dP [Pa] under contact pressures (k,) [Pa]."""
-        pressure = pressure.astype(self.columns.dtype, copy=False)
+        pressure = pressure.astype(np.float32, copy=False)
         self._frames += 1
-        if self._frames == 2 and self.columns.dtype == np.float32 and pressure.size:
+        if self._frames == 2 and pressure.size:
             self._short = self._shortened()
         answer = self.columns @ pressure if self._short is None else self._short.answer(pressure)
         return answer[:-1].reshape(-1, len(self._points)).T, float(answer[-1])
@@ -120,3 +127,43 @@ class ContactColumns:
         rows = np.append(np.flatnonzero(np.tile(~far, len(parts))), len(columns) - 1)
         short = _Shortened(tuple(bases), mix.astype(columns.dtype), rows, np.asfortranarray(columns[rows]))
         return short if short.nbytes < columns.nbytes else None
+
+
+def contact_columns(solver: LinearSolver, nodes: Index, push: Array | None = None) -> ContactColumns:
+    """What unit contact pressures at nodes (k,) do, by a linear solver's factor: the d components of x, then dP.
+
+    A frame is `ContactColumns.frame`, all displacements included; nothing else of the model is touched. There is no
+    gravity, and constrained nodes stay where they are.
+
+    Parameters
+    ----------
+    push : (N, 3) force of each node's contact at unit pressure [N/Pa], as `Load.contact_force`; None for -g_i
+
+    Raises
+    ------
+    ConstraintError
+        a node outside the surface.
+    """
+    problem, factor = solver.problem, solver.factor
+    formulation = problem.formulation
+    n, d = formulation.surface.n_nodes, formulation.components
+    nodes = np.array(nodes, dtype=np.int64)  # the caller may change its own
+    if nodes.size and (nodes.min() < 0 or nodes.max() >= n):
+        raise ConstraintError(f"contact nodes must lie in 0..{n - 1}")
+    columns = np.empty((n * d + 1, len(nodes)), dtype=np.float32, order="F")
+    for first in range(0, len(nodes), BATCH):
+        batch = slice(first, first + BATCH)
+        forces = np.zeros((n, d, len(nodes[batch])))
+        for k, node in enumerate(nodes[batch].tolist()):
+            one = np.zeros(n)
+            one[node] = 1.0
+            load = problem.support.signed(Load(one, None if push is None else one[:, None] * push))
+            forces[node, :, k] = formulation.contact_force(load)[node]
+        x = np.zeros_like(forces)
+        answer, border = factor.solve(
+            forces[factor.free].reshape(-1, forces.shape[2]), np.zeros((factor.n_border, forces.shape[2]))
+        )
+        x[factor.free] = answer.reshape(-1, *forces.shape[1:])
+        columns[:-1, batch] = x.transpose(1, 0, 2).reshape(n * d, -1)
+        columns[-1, batch] = border[0]
+    return ContactColumns(columns, formulation.surface.points, nodes, formulation.left_out_far)
