@@ -46,9 +46,9 @@ def cache_directory() -> Path:
     return Path(os.environ.get("VDMBENCH_CACHE") or results_directory() / "cache")
 
 
-def json_text(value: Any, *, indent: int | None = None, sort_keys: bool = False) -> str:
+def json_text(value: Any, *, indent: int | None = None) -> str:
     """JSON as every program reads it: null for a number that is not finite, for which JSON has no word."""
-    return json.dumps(plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
+    return json.dumps(plain(value), indent=indent, allow_nan=False)
 
 
 def plain(value: Any, without: Container[str] = ()) -> Any:

@@ -48,17 +48,11 @@ class Wanted:
     scales: tuple[float, ...]
 
 
-def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None) -> str:
-    """SHA-256 (hex) over what decides a case's numbers: inputs, mesh, and each model's declared version.
-
-    Parameters
-    ----------
-    inputs : those of `case_inputs`, where they are known
-    """
-    inputs = inputs or case_inputs(study)
+def case_hash(study: Study, mesh_key: str) -> str:
+    """SHA-256 (hex) over what decides a case's numbers: inputs, mesh, and each model's declared version."""
     return _digest(
         {
-            "inputs": study.without(dict(inputs), Enters.MESH),
+            "inputs": study.without(case_inputs(study), Enters.MESH),
             "mesh": mesh_key,
             "models": {name: models.find(name)[0].version for name in study.study.models},
             "loads": VERSION,
@@ -66,11 +60,11 @@ def case_hash(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = No
     )
 
 
-def wanted(study: Study, mesh_key: str, inputs: Mapping[str, Any] | None = None) -> list[Wanted]:
+def wanted(study: Study, mesh_key: str) -> list[Wanted]:
     """What a case takes: every model on its own mesh, and the reference on the finer levels."""
-    inputs = inputs or case_inputs(study)
+    inputs = case_inputs(study)
     levels = study.uncertainty.levels if study.uncertainty else 1
-    setup = study.without(dict(inputs), Enters.MESH, Enters.CASE)
+    setup = study.without(inputs, Enters.MESH, Enters.CASE)
     steps, out = load_steps(study, inputs), []
     for name in study.study.models:
         finest = levels if name == study.study.reference else 1
@@ -104,9 +98,12 @@ def level_key(mesh_key: str, level: int) -> str:
     return f"{mesh_key}-{level}" if level else mesh_key
 
 
-def load_steps(study: Study, inputs: Mapping[str, Any] | None = None) -> list[dict[str, float]]:
-    """Of each load step what acts: load of size 1 -> how much of it; the weight, which does not scale, with it."""
-    parts = _unit_loads(inputs or case_inputs(study))
+def load_steps(study: Study, inputs: Mapping[str, Any]) -> list[dict[str, float]]:
+    """Of each load step what acts: load of size 1 -> how much of it; the weight, which does not scale, with it.
+
+    `inputs` are the study's `case_inputs`.
+    """
+    parts = _unit_loads(inputs)
     weight = {"weight": 1.0} if has_weight(study) else {}
     return [{unit: factor * value for unit, value in parts.items()} | weight for factor in study.load.history]
 

@@ -67,9 +67,9 @@ class PlannedCase:
         """The case and its variations."""
         return [self, *self.variations]
 
-    def want(self, name: str, level: int = 0) -> Wanted:
-        """What it takes of one model on one mesh level."""
-        return next(want for want in self.wanted if (want.name, want.level) == (name, level))
+    def want(self, name: str) -> Wanted:
+        """What it takes of one model on its own mesh."""
+        return next(want for want in self.wanted if (want.name, want.level) == (name, 0))
 
 
 @dataclass(frozen=True)

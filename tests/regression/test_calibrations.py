@@ -13,7 +13,7 @@ from tools.documents import ROOT, rows_shown
 from tools.evidence import EVIDENCE, STORED, calibration_rows
 from vdmbench.calibrate import as_json, body, calibrate
 from vdmbench.report.rebuild import rebuild
-from vdmbench.study.config import expand, load_study
+from vdmbench.study.config import case_inputs, expand, load_study
 from vdmbench.work.keys import direction, load_steps
 from vdmbench.work.plan import make_plan
 from vdmbench.work.run import Options, run_plan
@@ -54,7 +54,7 @@ def test_a_shipped_calibration_comes_out_again(study: str, tmp_path: Path) -> No
 @pytest.mark.parametrize("study", STUDIES)
 def test_no_load_of_a_shipped_calibration_is_a_multiple_of_another(study: str) -> None:
     cases = expand(load_study(ROOT / "studies" / "cases" / f"{study}.toml"))
-    loads = {repr(direction(load_steps(case.study)[-1])[0]) for case in cases}
+    loads = {repr(direction(load_steps(case.study, case_inputs(case.study))[-1])[0]) for case in cases}
     assert len(loads) == len(cases) == 12
 
 
