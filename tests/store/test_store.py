@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import json
 from pathlib import Path
@@ -17,8 +16,6 @@ from numpy.testing import assert_array_equal
 from tests.command import strict_json
 from tests.report.runs import whole_case
 from vdmbench.measures import uncertainty
-from vdmbench.measures.case import Run
-from vdmbench.measures.frame import frame
 from vdmbench.store import cases as store
 from vdmbench.store.plain import StoreError
 from vdmbench.store.run_directory import RESOLVED, STUDY, case_path, failure_path, write_failure, write_plan
@@ -256,15 +253,3 @@ def test_a_case_that_would_not_be_read_is_not_written(
     with pytest.raises(ValueError, match="more than a case file holds; use fewer load steps"):
         store.write_case(tmp_path / "case.vtkhdf", whole_case())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_no_cell_of_the_table_is_a_formula() -> None:
-    attack = '=HYPERLINK("http://example.org")'
-    case = whole_case()
-    series = dataclasses.replace(case.metrics["vdm-paper"]["max_nodal_error"], unit=attack)
-    models, metrics = {attack: case.models["vdm-paper"]}, {attack: {attack: series}}
-    case = dataclasses.replace(case, swept={attack: attack}, models=models, metrics=metrics)
-    rows = list(csv.reader(store.metrics_csv(frame(Run(case.study, "", [case], [], [], {}))).splitlines()))
-    cells = [cell for row in rows for cell in row if "HYPERLINK" in cell]
-    assert len(cells) == 1 + 4 * 3, "the heading; value, model, metric and unit of three steps"
-    assert all(cell == f"'{attack}" for cell in cells)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import io
+import math
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +23,30 @@ from vdmbench.verdict.digest import Digest
 
 REFINED = "fem-linear refined"
 DRIFT = "volume_drift"
+
+
+def test_the_table_has_every_value_with_its_full_load_bar_and_no_formula() -> None:
+    measured = {"levels": 1.0, "gci:relative_l2_displacement_error": 0.0125}
+    cases = [
+        make_case({"m": 0.1, "=n": 0.2}, label="a", steps=(0.5, 1.0, 0.5), swept={"k": 1e-3}, subdivisions=0),
+        make_case(
+            {"m": 0.3}, label="b", swept={"=j": "=x", "k": 2.0}, reference_error=measured, subdivisions=0
+        ),
+    ]
+    head, *rows = csv.reader(io.StringIO(store.metrics_csv(frame(make_run(cases)))))
+    assert ",".join(head) == "case,k,'=j,model,load_factor,metric,value,unit,reference_error"
+    expected = []
+    for case, swept in zip(cases, (["0.001", ""], ["2.0", "'=x"]), strict=True):
+        for model, metrics in case.metrics.items():
+            for metric, entry in metrics.items():
+                for step, value in enumerate(entry.values):
+                    bar = value_bar(case, model, metric) if step == case.full_load else math.nan
+                    own = repr(bar) if math.isfinite(bar) else ""
+                    at = [model.replace("=", "'="), repr(float(case.load_factors[step])), metric]
+                    known = repr(float(value)) if math.isfinite(value) else ""
+                    expected.append([case.hash[:12], *swept, *at, known, entry.unit, own])
+    assert rows == expected
+    assert {row[-1] for row in rows} == {"", "0.0125"}
 
 
 def refined_case(levels: float) -> CaseResult:

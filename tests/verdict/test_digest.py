@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 
 import numpy as np
@@ -11,8 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import make_case, make_run, sweep_run
-from vdmbench.measures.frame import frame, value_bar
-from vdmbench.store.cases import metrics_csv
 from vdmbench.verdict.digest import VECTOR, Digest, spread_of
 
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
@@ -30,30 +26,6 @@ def test_spread_takes_medians_the_largest_size_and_its_own_bar() -> None:
     assert_allclose(spread.bar, 0.015, rtol=RTOL, atol=ATOL)
     assert spread.cases == 3
     assert spread_of(np.array([math.nan]), np.array([0.1])) is None
-
-
-def test_metrics_csv_has_every_value_with_its_full_load_bar() -> None:
-    measured = {"levels": 1.0, f"gci:{VECTOR}": 0.0125}
-    cases = [
-        make_case({"m": 0.1, "n": 0.2}, label="a", steps=(0.5, 1.0, 0.5), swept={"k": 1e-3}, subdivisions=0),
-        make_case(
-            {"m": 0.3}, label="b", swept={"j": "=x", "k": 2.0}, reference_error=measured, subdivisions=0
-        ),
-    ]
-    head, *rows = csv.reader(io.StringIO(metrics_csv(frame(make_run(cases)))))
-    assert ",".join(head) == "case,k,j,model,load_factor,metric,value,unit,reference_error"
-    expected = []
-    for case, swept in zip(cases, (["0.001", ""], ["2.0", "'=x"]), strict=True):
-        for model, metrics in case.metrics.items():
-            for metric, entry in metrics.items():
-                for step, value in enumerate(entry.values):
-                    bar = value_bar(case, model, metric) if step == case.full_load else math.nan
-                    own = repr(bar) if math.isfinite(bar) else ""
-                    at = [model, repr(float(case.load_factors[step])), metric]
-                    known = repr(float(value)) if math.isfinite(value) else ""
-                    expected.append([case.hash[:12], *swept, *at, known, entry.unit, own])
-    assert rows == expected
-    assert {row[-1] for row in rows} == {"", "0.0125"}
 
 
 def test_the_first_familys_model_is_looked_at_and_its_cases_ranked(digest: Digest) -> None:
