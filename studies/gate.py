@@ -22,7 +22,7 @@ from xml.etree import ElementTree
 from .machine import json_text, write_atomically
 from .measures.case import CaseResult, Run
 from .measures.frame import at_full_load
-from .measures.metrics import METRICS, Sense
+from .measures.metrics import METRICS, Sense, measurement_error
 from .measures.uncertainty import SIGNED
 from .store.plain import StoreError, typed
 from .study.kinds import safe_name
@@ -37,6 +37,7 @@ ABSOLUTE = {
     "m": 1e-6,
 }  # no change whatever the value, by unit: 0.1 percentage points, a micrometre
 CONSERVED = 1e-9  # of what is conserved: a deviation is judged by its own size, down to where it is rounding
+MEASURED = measurement_error.__name__
 ONLY_CASE = "the only case"  # what the case of a study without a sweep is called
 VERDICT = "verdict"  # in place of a metric, of a family in place of a model
 OWN = "own error: "  # before the name of a metric in which the reference's own error was measured
@@ -125,17 +126,24 @@ class Finding:
 
 
 def baseline_of(run: Run, reason: str = "") -> Baseline:
-    """What a baseline holds of a run: every gated metric at full load."""
+    """What a baseline holds of a run: every gated metric at full load; against a measurement where one was made."""
     values: dict[str, dict[str, dict[str, float | None]]] = {
         case.hash: {name: {} for name in case.models} for case in run.cases
     }
     digest = digest_of(run)
-    table = at_full_load(digest.table)
-    gated = table[table["metric"].isin([name for name in METRICS if sense_of(name) != "descriptive"])]
-    for case, model, metric, value in zip(
-        *(gated[c] for c in ("case", "model", "metric", "value")), strict=True
-    ):
-        values[case][model][metric] = _rounded(value)
+    names = [name for name in METRICS if sense_of(name) != "descriptive" and name != MEASURED]
+    gated = at_full_load(digest.table)
+    gated = gated[gated["metric"].isin(names)]
+    measured = digest.table[digest.table["metric"] == MEASURED].dropna(subset=["value"])
+    # at full load, else at the last step at which something was measured
+    measured = measured.sort_values("full_load", kind="stable").drop_duplicates(
+        ["case", "model"], keep="last"
+    )
+    for rows in (gated, measured):
+        for case, model, metric, value in zip(
+            *(rows[c] for c in ("case", "model", "metric", "value")), strict=True
+        ):
+            values[case][model][metric] = _rounded(value)
     asked = {case.hash: asked_of(case) for case in run.cases}
     common = next(iter(asked.values()), {})
     measures, versions = {}, {}
@@ -370,6 +378,8 @@ def _compare_case(label: str, was: Baseline, now: Baseline, whose: str) -> Itera
         ][:1]
         for metric, value in values.items():
             if metric not in own:
+                if value is None:
+                    continue
                 yield Finding(MISSING, label, model, metric, why="the run has no such metric")
                 continue
             name = metric.removeprefix(OWN)

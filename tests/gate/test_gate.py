@@ -16,7 +16,7 @@ from tests.report.runs import make_case, make_run
 from vdmbench import gate
 from vdmbench.cli.arguments import parse
 from vdmbench.gate import BaselineError, Finding, accept, compare, counts, read_baseline
-from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import METRICS
 from vdmbench.store.plain import StoreError
 from vdmbench.study.config import expand, load_study
@@ -155,6 +155,23 @@ def test_what_cannot_be_compared_names_what_changed_and_does_not_pass(now: CaseR
     assert not gate.regressed(both)
     assert "--allow-missing" in gate.why_not_passed(both)
     assert gate.why_not_passed(both, allow_missing=True) == ""
+
+
+def test_an_error_against_a_measurement_counts_at_the_step_that_was_measured() -> None:
+    """Markers seen at half of the load are no failure at full load; of a step that none was seen at, nothing is."""
+
+    def seen(error: float) -> CaseResult:
+        own = METRICS[gate.MEASURED]
+        values = np.where(np.isclose(CASE.load_factors, 0.5), error, np.nan)
+        series = MetricSeries(values, own.unit, own.definition, own.version)
+        metrics = {name: {**found, gate.MEASURED: series} for name, found in CASE.metrics.items()}
+        return dataclasses.replace(CASE, metrics=metrics)
+
+    assert 0.5 in CASE.load_factors[:-1]
+    assert one(seen(2e-3), gate.MEASURED, seen(1e-3)).outcome == gate.WORSE
+    assert gate.STILL_FAILING not in counts(
+        findings(seen(np.nan), was=gate.baseline_of(make_run([seen(np.nan)])))
+    )
 
 
 def test_nothing_but_nulls_does_not_pass() -> None:
