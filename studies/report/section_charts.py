@@ -280,7 +280,8 @@ def run_time_against_error(digest: Digest) -> Section | None:
 def _pareto(digest: Digest, metric: str, parts: Sequence[Sequence[CaseResult]], salt: str) -> Figure | None:
     curves, look = [], {"markersize": 6.5, **({} if len(parts) > 1 else {"linestyle": "none"})}
     for name in digest.compared:
-        points = np.array([_time_and_error(digest, name, metric, part) for part in parts])
+        measured = [p for p in parts if any(c.models[name].frames is not None for c in p if name in c.models)]
+        points = np.array([_time_and_error(digest, name, metric, part) for part in measured or parts])
         known = points[np.isfinite(points).all(axis=1)]
         if len(known):
             curves.append(Curve(name, known[:, 0], known[:, 1], look=look))

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import re
+from html import unescape
 
 import pytest
 
 from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
 from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
-from vdmbench.report.blocks import note
+from vdmbench.report.blocks import Figures, note
 from vdmbench.report.headline import _table, headline_metrics
+from vdmbench.report.section_charts import run_time_against_error
 from vdmbench.scene.result import FrameTimes
 from vdmbench.verdict.digest import ELSEWHERE, ONCE, Digest
 
@@ -35,6 +39,18 @@ def test_times_say_when_where_and_how(processor: str, marks: list[str]) -> None:
         assert ("another machine" in rows[name]) == (ELSEWHERE in marks)
     text = note("times", list(Digest(shown).figures.values())).text
     assert ("another machine, compare" in text) == (ELSEWHERE in marks)
+
+
+def test_a_line_joins_measured_frames_with_no_time_of_one_answer() -> None:
+    """Of the second mesh no frame was measured: a step of its answer is no mark on the line of what was."""
+    fine = dataclasses.replace(make_case({"vdm-m": 0.1}, subdivisions=2), hash="cd" * 32)
+    for cases, marks in (([measured_anew(_case(HERE)), fine], 1), ([_case(HERE), fine], 2)):
+        section = run_time_against_error(Digest(make_run(cases)))
+        assert section is not None
+        (chart, *_) = next(block for block in section.blocks if isinstance(block, Figures)).figures
+        told = re.search('data-told="([^"]+)"', chart.svg)
+        assert told is not None
+        assert len(json.loads(unescape(told[1]))) == marks
 
 
 def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
