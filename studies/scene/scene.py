@@ -62,6 +62,12 @@ class SurfaceLoad:
                 np.add.at(nodal, parts[:, corner], share)
         return read_only(nodal)
 
+    @property
+    def acts(self) -> bool:
+        """Whether anything presses, pulls, moves or weighs the body."""
+        given = self.facet_pressure, self.dead_force, self.prescribed, self.gravity
+        return self.depth != 0.0 or any(part.any() for part in given)
+
 
 @dataclass(frozen=True)
 class Scene:

@@ -90,7 +90,10 @@ def _doubts(case: PlannedCase, scene: Scene) -> list[Finding]:
         max(map(abs, study.load.history)),
         small_strain=reference is not None and split(reference)[0] not in FINITE_STRAIN,
     )
-    return [(loc, _in_case(text, case)) for loc, text in found]
+    told = [(loc, _in_case(text, case)) for loc, text in found]
+    if not any(load.acts for load in scene.loads):
+        told.append((("constraints",), _in_case("nothing loads the body: every answer is zero", case)))
+    return told
 
 
 def _scene(plan: Plan, case: PlannedCase, mesh: Mesh) -> Scene:

@@ -174,7 +174,7 @@ def test_numbers_that_are_none(value: float) -> None:
 
 def test_a_run_of_nothing_but_nan() -> None:
     case = with_numbers(make_case({"m": 0.1}, subdivisions=0), np.nan)
-    assert "No model has a result at full load" in page_html(make_run([case]))
+    assert "No model has an error at full load" in page_html(make_run([case]))
 
 
 def test_swept_values_at_the_edge() -> None:

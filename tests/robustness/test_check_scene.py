@@ -45,6 +45,11 @@ CASES: dict[str, tuple[list[tuple[str, str]], int, str]] = {
         0,
         "small.toml:14: tissue.youngs_modulus: 5 GPa is stiffer than tendon",
     ),
+    "a scene without a load": (
+        [('"0.1 N"', '"0 N"')],
+        0,
+        "small.toml:22: constraints: nothing loads the body: every answer is zero",
+    ),
     "a sound scene": ([], 0, ""),
     "a ball on both faces of a plate": (
         [
