@@ -58,7 +58,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="vdmbench",
         description="Compare the Volume Distribution Method with finite elements on the same mesh.",
-        epilog="exit codes: 0 ok, 1 accuracy regressed or bars too narrow, 2 usage or study file wrong, "
+        epilog="exit codes: 0 ok, 1 accuracy regressed, 2 usage or study file wrong, "
         "3 some cases failed, 4 machine lacks something, 5 stored results damaged, "
         "6 not all was compared, 70 a bug of the program, 130 interrupted",
     )

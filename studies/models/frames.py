@@ -47,8 +47,13 @@ Problem = LinearSolver | LinearProblem | CondensedProblem
 Frame = Callable[[Array], tuple[Array, float]]
 
 
-def frame_times(scene: Scene, names: Sequence[str], rounds: int, budget: float) -> dict[str, FrameTimes]:
-    """Frames of several models on one scene, in turns; a model is measured no further after `budget` seconds."""
+def frame_times(
+    scene: Scene, names: Sequence[str], rounds: int, budget: float, least: int = 1
+) -> dict[str, FrameTimes]:
+    """Frames of several models on one scene, in turns.
+
+    A model is measured no further after `budget` seconds and `least` rounds.
+    """
     contact = dataclasses.replace(scene, load_factors=FACTORS, condition=False)
     taken: dict[str, list[tuple[float, float, float]]] = {name: [] for name in names}
     spent = dict.fromkeys(names, 0.0)
@@ -56,7 +61,7 @@ def frame_times(scene: Scene, names: Sequence[str], rounds: int, budget: float) 
     gc.freeze()  # no round's look for garbage goes through all that is loaded
     for _ in range(rounds):
         for name in names:
-            if spent[name] < budget:
+            if spent[name] < budget or len(taken[name]) < least:
                 start = time.perf_counter()
                 taken[name].append(one_round(contact, name))
                 spent[name] += time.perf_counter() - start

@@ -16,6 +16,8 @@ REFUSED = "refused"  # status of a model that could not be set up: before any so
 # scalar of a body scanned under its weight: largest distance from its rest shape to the scanned one [m]
 REST_DISTANCE = "rest_distance"
 
+LEAST_ROUNDS = 3  # of frames, from which on none within a limit is no chance
+
 
 @dataclass(frozen=True)
 class FrameTimes:

@@ -16,11 +16,10 @@ from ..machine import processor_name
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error
 from ..measures.pushed import Answer, Pushed
-from ..scene.result import ModelResult
+from ..scene.result import LEAST_ROUNDS, ModelResult
 from ..study.loads import Constraint
 from ..study.schema import Study
 
-LEAST_TIMES = 3  # measured times, from which on none within is no chance
 NODAL, FRAME_TIME = max_nodal_error.__name__, "frame_time"
 # where a model stands; of several limits the largest decides
 NOT_ASKED, WITHIN, OPEN, BEYOND, LOST = -1, 0, 1, 2, 3
@@ -91,7 +90,7 @@ def time_state(result: ModelResult | None, allowed: float) -> int:
         return OPEN
     if np.quantile(times, 0.75, method="lower") <= allowed:
         return WITHIN
-    return BEYOND if len(times) >= LEAST_TIMES and times.min() > allowed else OPEN
+    return BEYOND if len(times) >= LEAST_ROUNDS and times.min() > allowed else OPEN
 
 
 def counted(states: States) -> dict[str, int]:

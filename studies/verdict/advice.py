@@ -274,8 +274,10 @@ def _resting(digest: Digest) -> Advice:
     for name in (CONDENSED, LINEAR):
         if name in digest.compared and math.isfinite(digest.shares(name).max(initial=0.0)):
             found = digest.figures[name]
-            told = found if name == CONDENSED else replace(found, frame=math.nan, set_up=math.nan)
-            return Advice(RESTING, "condensed", (told,))
+            if name == LINEAR:  # whose times are not theirs
+                within = int((digest.at_full(digest.worst_states(name, of_load=True)) == WITHIN).sum())
+                found = replace(found, frame=math.nan, set_up=math.nan, within=within)
+            return Advice(RESTING, "condensed", (found,))
     return Advice(RESTING, "condensed")
 
 

@@ -12,6 +12,7 @@ import tomli_w
 
 from ..machine import LockedError, clear_abandoned, lock, write_atomically
 from ..measures.case import Run
+from ..scene.result import LEAST_ROUNDS
 from ..store.cases import told_run
 from ..store.run_directory import (
     REPORT,
@@ -191,13 +192,13 @@ def _time_frames(
     pool: Pool,
 ) -> None:
     """Measure what frames take, once nothing else of this run is at work; a failure costs the times alone."""
-    every = options.times or _decides(plan)
+    every, least = options.times or _decides(plan), LEAST_ROUNDS if _decides(plan) else 1
     asked = plan.in_shard(options.shard) if every else cases
     first = {case.mesh: case for case in reversed(asked) if plan.case_file(case).exists()}
     if not first:
         return
     items = [case_payload(case, plan) for case in reversed(first.values())]
-    payload = {"directory": str(plan.directory.absolute()), "every": every, "items": items}
+    payload = {"directory": str(plan.directory.absolute()), "every": every, "least": least, "items": items}
     task = Task("times", "times", "times of a frame", payload, frozenset())
     watch(Event("started", task.label))
     for _, said in run_tasks([task], pool, plan.directory.absolute() / "failed", timeout=options.timeout):

@@ -145,7 +145,9 @@ def _times(payload: Payload) -> None:
         slow = set() if every else _slow(case, Path(item["cache"]))
         names = [name for name in case.study.study.models if name not in slow]
         about: Any = {"case": case.label, "processor": processor_name()}
-        times = frame_times(build_scene(case.study, _meshes(item, 0).finest), names, rounds, budget)
+        times = frame_times(
+            build_scene(case.study, _meshes(item, 0).finest), names, rounds, budget, payload["least"]
+        )
         found[case.mesh] = {name: dataclasses.replace(one, **about) for name, one in times.items()}
     add_times(Path(payload["directory"]), found)
 

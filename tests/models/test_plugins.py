@@ -158,6 +158,12 @@ def test_a_package_that_does_not_load_costs_its_own_models_alone(tmp_path: Path)
     assert "absent_model" in told["absent"]
 
 
+def test_a_model_with_no_time_left_has_the_rounds_that_decide(scene: Scene) -> None:
+    models.register(_plugin(_set("seconds_per_step", lambda seconds: seconds)))
+    rounds = {k: frame_times(scene, ["theirs"], 5, 0.0, least=k)["theirs"].contact.shape for k in (1, 3)}
+    assert rounds == {1: (1,), 3: (3,)}
+
+
 @pytest.mark.parametrize(("told", "known"), [(0.0, False), (1e-9, True)])
 def test_frames_of_a_model_that_says_it_takes_no_time_have_an_end(
     scene: Scene, told: float, known: bool

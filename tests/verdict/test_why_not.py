@@ -216,3 +216,10 @@ def test_a_frame_that_takes_too_long_is_told() -> None:
     moving = verdicts(Digest(run)).take[1]
     assert (moving.kind, moving.allowed, moving.model) == ("none quick enough", 3e-4, "")
     assert causes(make_run([case], acceptance={"frame_time": 5e-4})) == {}
+
+
+def test_condensed_elements_are_as_good_as_linear_ones_whose_frames_take_too_long() -> None:
+    case = measured_anew(make_case({"vdm-vector": 0.2, "fem-linear": 0.02}, reference="fem", subdivisions=0))
+    for limit in ({}, {"frame_time": 1e-6}):
+        resting = verdicts(Digest(make_run([case], acceptance=limit))).take[0]
+        assert (resting.kind, resting.model, resting.take[0].within) == ("condensed", "fem-linear", 1)
