@@ -57,9 +57,9 @@ def test_an_exit_code_does_not_depend_on_the_streams(
 
 
 def test_output_that_is_lost_is_told(place: Path) -> None:
-    full = _shell("plan small.toml --json", ">/dev/full", place)
+    full = _shell("list --json", ">/dev/full", place)
     assert (full.returncode, full.stderr) == (0, NOTICE)
-    piped = _shell("plan small.toml", "| true", place)
+    piped = _shell("list", "| true", place)
     assert (piped.returncode, piped.stderr) == (0, ""), "nobody wants it: that is no fault"
 
 
