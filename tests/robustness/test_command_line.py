@@ -156,7 +156,7 @@ def test_a_surface_of_the_same_file_name_does_not_overwrite_the_results_of_anoth
         (["run", "small.toml", "--timeout", "-1"], "more than 0"),
         (["run", "small.toml", "--timeout", "nan"], "must be a number of seconds of more than 0, not 'nan'"),
         (["run", "sphere"], 'unknown study "sphere"; known: '),
-        (["check", "small.toml", "--surface", "nowhere.stl"], "does not exist"),
+        (["check", "small.toml", "--surface", "none.stl"], "small.toml:8: geometry.path: "),
     ],
 )
 def test_usage_mistakes(tmp_path: Path, arguments: list[str], words: str) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from vdmbench.models import model_names
-from vdmbench.study.config import StudyError, expand, geometry_error, load_study
+from vdmbench.study.config import StudyError, expand, geometry_error
 from vdmbench.study.errors import MeshError
 from vdmbench.work.plan import make_plan
 
@@ -47,32 +47,15 @@ def test_what_only_the_mesher_finds_is_told_of_a_solid_at_its_shape(tmp_path: Pa
     assert (problem.line, problem.key) == (5, "geometry.shape")
 
 
-@pytest.mark.parametrize(
-    ("text", "line", "key"),
-    [
-        (SWEPT.replace("mesh_size = 0.006", "mesh_size = 1e-4"), 7, "geometry.mesh_size"),
-        (f'{SWEPT}[sweep]\n"geometry.mesh_size" = [6e-3, 1e-4]\n', 27, 'sweep."geometry.mesh_size"'),
-    ],
-)
-def test_too_many_nodes_are_told_where_the_mesh_size_is_written(
-    tmp_path: Path, text: str, line: int, key: str
-) -> None:
-    study = load(tmp_path, text)
+def test_too_many_nodes_are_told_where_the_mesh_size_is_swept(tmp_path: Path) -> None:
+    """By the key itself: `tests/robustness/test_command_line.py`."""
+    study = load(tmp_path, f'{SWEPT}[sweep]\n"geometry.mesh_size" = [6e-3, 1e-4]\n')
     with pytest.raises(StudyError, match=r"would give about 2.3e\+06 nodes, more than the 2000000") as caught:
         make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
     (problem,) = caught.value.problems
-    assert (problem.line, problem.key) == (line, key)
+    assert (problem.line, problem.key) == (27, 'sweep."geometry.mesh_size"')
 
 
 def test_models_are_those_of_the_registry(tmp_path: Path) -> None:
     for name in model_names():
         assert load(tmp_path, SMALL.replace("vdm-paper", name)).study.models == (name,)
-
-
-# --- a surface in the place of its body ---
-
-
-def test_a_surface_that_is_not_there_is_told_at_the_body(tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(SMALL)
-    with pytest.raises(StudyError, match=r"study.toml:4: geometry.path: .*none.obj. does not exist"):
-        load_study(tmp_path / "study.toml", surface=tmp_path / "none.obj")
