@@ -130,10 +130,18 @@ class RigidContact:
         across = np.linalg.norm(y - along[..., None] * self._axis, axis=-1)
         return bool(((along < 0.0) & (across < 0.5 * self._radius)).any())
 
+    def is_pushed_on(self, positions: Array, depth: float) -> bool:
+        """Whether the body pushes the indenter onward: then it is behind the surface that it met."""
+        return float((self.forces(positions, depth) @ self._axis).sum()) < 0.0
+
     def energy(self, positions: Array, depth: float) -> float:
         """Energy of the penalty."""
         distance, _, _ = self._distance(positions, depth)
         return float(0.5 / _PENALTY * (self._pressure(distance) ** 2 * self._measure).sum())
+
+    def touched(self, positions: Array, depth: float) -> int:
+        """Number of facets under pressure."""
+        return int((self._pressure(self._distance(positions, depth)[0]) > 0.0).any(axis=1).sum())
 
     def area(self, positions: Array, depth: float) -> float:
         """Undeformed area under pressure."""

@@ -28,7 +28,7 @@ OUTPUTS = {
 _FAILURES = {
     "not-converged": "Newton's method did not converge",
     "inverted": "a tetrahedron would turn inside out",
-    "passed": "contact lost: the indenter goes through the surface without touching it",
+    "passed": "contact lost: the indenter goes past the surface",
     "linear-solver": "the tangent system could not be solved, as where a body buckles",
 }
 _TOUCHING = "push it in less far, or use a larger radius or a finer mesh where it touches"
@@ -126,8 +126,15 @@ class Record:
         iterations, residual = len(attempt.residuals) - 1, attempt.residuals[-1]
         told = ENDED.format(_FAILURES[attempt.code], reached, number, iterations, RESIDUAL.format(residual))
         u = self._converged.state.displacement
+        remedy = _TOUCHING if attempt.code == "passed" else _REMEDY
+        touched = self.newton.touched(u, attempt.load)
+        if touched and attempt.code != "passed":
+            told += (
+                f"; the indenter meets the surface on {'1 facet' if touched == 1 else f'{touched} facets'}"
+            )
+            remedy = _TOUCHING
         if not u.any():
-            return Status(attempt.code, told, _TOUCHING if attempt.code == "passed" else _REMEDY)
+            return Status(attempt.code, f"{told}; it found no equilibrium but the rest", remedy)
         worst = most_compressed(self._mesh, u * self._mesh.mean_edge)
         volume, place = self.assembly.least_volume_ratio(u)
         told += (
@@ -135,7 +142,7 @@ class Record:
             f" the least volume ratio J is {volume:.3f} at {_at(place)}"
         )
         if attempt.code == "passed":
-            return Status(attempt.code, told, _TOUCHING)
+            return Status(attempt.code, told, remedy)
         across = np.sqrt(worst.other)
         if worst.plane < CREASE:
             told += f"; creasing: a free surface creases there below {CREASE / across:.2f}"
@@ -150,8 +157,11 @@ class Record:
         softest = self.newton.softest(self._converged)
         told += f"; the lowest eigenvalue of the tangent is {softest:.2g} of that at rest"
         if softest < _NO_STIFFNESS:
-            return Status(attempt.code, f"{told}: a limit point, no equilibrium is near beyond it", _SNAPS)
-        return Status(attempt.code, told, _REMEDY)
+            told += ": a limit point, no equilibrium is near beyond it"
+            if touched:
+                told += "; contact lost, as where a body slips off an indenter"
+            return Status(attempt.code, told, remedy if touched else _SNAPS)
+        return Status(attempt.code, told, remedy)
 
     def _close(self, number: int, reached: float, status: Status) -> None:
         self._status[number] = status

@@ -226,7 +226,11 @@ class Newton:
                 lost = float(np.abs(found.vector).max()) > _LEFT * max(found.scale, largest)
                 if lost and found.external.any():
                     return outcome(state, "too-small")
-                return passed if self._passes(u, load) else outcome(State(u, q, c), "converged")
+                return (
+                    passed
+                    if self._passes(u, load) or self._is_behind(u, load)
+                    else outcome(State(u, q, c), "converged")
+                )
             rises = sum(b > a for a, b in itertools.pairwise(residuals[1:]))
             slow = len(residuals) > self.max_newton and residuals[-1] > _FAST * residuals[-2]
             if slow or rises > _MOST_RISES or not np.isfinite(found.relative):
@@ -251,6 +255,14 @@ class Newton:
     def _passes(self, u: Array, load: ScaledLoad) -> bool:
         """Whether the indenter went through the surface."""
         return self.contact is not None and self.contact.passes(self._points + u, load.depth)
+
+    def _is_behind(self, u: Array, load: ScaledLoad) -> bool:
+        """Whether the indenter is behind the surface that it met, which a step too long can end in."""
+        return self.contact is not None and self.contact.is_pushed_on(self._points + u, load.depth)
+
+    def touched(self, u: Array, load: ScaledLoad) -> int:
+        """Number of facets that the indenter of a load meets in a state."""
+        return 0 if self.contact is None else self.contact.touched(self._points + u, load.depth)
 
     def _good_enough(self, residuals: list[float]) -> bool:
         """Whether the last tangent will do once more: it gains at least what the last step did."""

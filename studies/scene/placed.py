@@ -106,6 +106,8 @@ class PlacedConstraint:
 # --- A rigid indenter on its mesh: where its tip first touches ---
 
 
+_HALVINGS = 8  # of a facet's edges: what is left of a gap is their (1/512)^2 over twice the radius
+_NEAREST = 1000  # quarters that are halved on
 _LEAST = 1e-6  # of a region's area, below which its facets have no mean normal
 
 
@@ -145,12 +147,21 @@ def place_indenter(facets: Mask, pushed: IndenterTable, mesh: Mesh, place: Loc) 
         else:
             shape = (FlatPunch if pushed.shape == "flat-punch" else Sphere)(pushed.radius)
         there = Indenter(shape, middle, direction)
-        gap = there.gap(mesh.surface_points[np.unique(triangles)]).min()
+        gap = _least_gap(there, mesh.surface_points[triangles].transpose(1, 0, 2))
         if not np.isfinite(gap):
-            raise SceneError("the indenter passes by all nodes of its region; take a finer mesh", *place)
+            raise SceneError("the indenter passes by its region; take a finer mesh", *place)
         return PlacedIndenter(Indenter(shape, middle + gap * there.axis, direction), facets, pushed.depth)
     except SolverError as error:
         raise SceneError(f"{error.status.message}; {error.status.remedy}", *place) from None
+
+
+def _least_gap(there: Indenter, corners: Array) -> float:
+    """The least gap [m] on flat facets of corners (3, F, 3), on a lattice that is finer where it is small."""
+    for _ in range(_HALVINGS):
+        corners = _quarters(corners)
+        nearest = np.argsort(there.gap(corners).min(axis=0))
+        corners = corners[:, nearest[:_NEAREST]]
+    return float(there.gap(corners).min())
 
 
 # --- Smooth contact profiles on flat facets: integrated, so that their resultant belongs to no mesh ---

@@ -73,12 +73,15 @@ def scene_warnings(
         if mask.sum() <= FEW_NODES:
             few = plural(int(mask.sum()), "node")
             yield loc, f"touches {few}: the answer there hangs on the mesh; take a smaller mesh_size"
-        pressed = vectors[mask[triangles].all(axis=1)]
+        facets = mask[triangles].all(axis=1)
+        pressed = vectors[facets]
         areas, resultant = np.linalg.norm(pressed, axis=1), pressed.sum(axis=0)
         total, size = float(areas.sum()), float(np.linalg.norm(resultant))
         if not total or not size:
             continue  # a smooth profile between nodes, or a scene that is refused
-        if areas[pressed @ resultant < 0].sum() > OPPOSED * total:
+        _, sides = np.unique(np.sort(half_edges(triangles[facets]), axis=1), axis=0, return_counts=True)
+        all_round = (sides == 2).all()  # as the wall of a cavity, under a pressure that is meant so
+        if not all_round and areas[pressed @ resultant < 0].sum() > OPPOSED * total:
             yield (
                 loc,
                 (

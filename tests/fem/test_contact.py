@@ -296,6 +296,35 @@ def test_an_indenter_never_goes_through_the_surface() -> None:
         assert found.solution.scalars["load_factor"][0] > 0.3
 
 
+def test_an_indenter_behind_the_surface_has_lost_its_contact() -> None:
+    b, indenter = cube(3), Indenter(Sphere(0.3), TIP, DOWN)
+    problem = b.finite(b.bottom, **SOFT)
+    contact = RigidContact(problem.mesh, scalar_pattern(problem.mesh), indenter, b.top)
+    points, unit = problem.mesh.node_points, problem.mesh.mean_edge
+    for depth, behind in (
+        (0.1, False),
+        (0.32, True),
+    ):  # in a body at rest, its middle above the surface and below
+        assert contact.is_pushed_on(points / unit, depth / unit) == behind
+    (status,) = problem.indent(indenter, b.top, [100.0]).solution.status  # no step is short enough to touch
+    assert status.code == "passed"
+    assert "contact lost" in status.message
+    assert "push it in less far" in status.remedy
+
+
+def test_a_contact_that_the_mesh_does_not_resolve_is_named() -> None:
+    """A ball at the edge of a column of few facets: iterations go to and fro between touching and not."""
+    b = mapped_box((1, 1, 2), lambda x: x * [0.5, 0.5, 1.0])
+    ball, side = (
+        Indenter(Sphere(0.45), (0.75, 0.25, 0.924), DOWN),
+        b.surface[b.triangles][..., 2].max(1) > 0.3,
+    )
+    (status,) = b.finite(b.bottom, poisson_ratio=0.2).indent(ball, side, [0.95]).solution.status
+    assert status.code == "not-converged"
+    assert "the indenter meets the surface on 1 facet;" in status.message
+    assert "a finer mesh where it touches" in status.remedy
+
+
 def test_a_mesh_too_coarse_for_its_indenter_is_told() -> None:
     b, indenter = cube(4), Indenter(Sphere(0.13), (0.6, 0.55, 1.0), DOWN)
     linear = ContactProblem(b.problem(b.bottom, poisson_ratio=0.45), indenter, b.surface[:, 2] == 1.0)

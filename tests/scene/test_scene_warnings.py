@@ -50,6 +50,17 @@ def found(kind: str, mask: np.ndarray, **keys: Any) -> list[str]:
     return [text for _, text in doubts]
 
 
+def test_a_pressure_all_round_is_meant_so() -> None:
+    """As the wall of a cavity has it; a wall with a hole presses opposite sides."""
+    points, triangles = icosphere(2)
+    there = np.ones(len(points), dtype=bool)
+    parts = constraints({"kind": "contact", "region": "wall", "pressure": 100.0})
+    assert not list(scene_warnings(parts, TISSUE, {"wall": there}, points, triangles))
+    there[0] = False
+    ((_, text),) = scene_warnings(parts, TISSUE, {"wall": there}, points, triangles)
+    assert "opposite sides" in text
+
+
 @pytest.mark.parametrize("kind", ["fixed", "constrained"])
 def test_a_support_of_lone_nodes_has_no_limit(kind: str) -> None:
     middle = np.argmin(NEAR)
