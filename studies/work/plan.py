@@ -28,15 +28,11 @@ from ..study.sweep import variations
 from .keys import Wanted, case_hash, wanted
 
 
-@dataclass(frozen=True)
-class PlannedCase:
+@dataclass(frozen=True, kw_only=True)
+class PlannedCase(ResolvedCase):
     """One case and what it needs, worked out when it is asked for. Cases with the same hash are the same work."""
 
     hash: str
-    label: str
-    swept: Mapping[str, float | str]
-    swept_units: Mapping[str, str]
-    study: Study
     mesh: str  # key of its mesh
     values: Mapping[str, float] = field(default_factory=dict)  # of a variation of its inputs: key -> value
 
@@ -204,8 +200,8 @@ def make_plan(
                 found[asked] = _planned_mesh(geometry, volume, cache)
             except MeshError as error:
                 raise geometry_error(study, error) from error
-        about = case.label, case.swept, case.swept_units, case.study
-        planned.append(PlannedCase(case_hash(case.study, found[asked].key), *about, found[asked].key))
+        mesh = found[asked].key
+        planned.append(PlannedCase(**vars(case), hash=case_hash(case.study, mesh), mesh=mesh))
     meshes = {mesh.key: mesh for mesh in found.values()}
     return Plan(study, tuple(planned), meshes, directory, cache, command, fresh)
 

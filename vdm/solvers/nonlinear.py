@@ -90,12 +90,12 @@ class Large(Protocol):
         """
         ...
 
-    def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:
-        """What closes the gaps of a state to first order after changes that were mixed.
+    def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:  # noqa: ARG002
+        """What closes the gaps of a state to first order after changes that were mixed; here the last one does.
 
         Of x (n_free, d) and of the pressures (m,).
         """
-        ...
+        return np.zeros_like(change), np.zeros_like(balance.gap)
 
     def energy(self, balance: Balance) -> float:
         """Elastic energy [J]."""
@@ -105,16 +105,12 @@ class Large(Protocol):
         """By volume [Pa]."""
         ...
 
-    def reserved(self, status: Status, balance: Balance) -> Status:
-        """The status of an answer, with what the body itself does not follow."""
-        ...
-
-    def scalars(self, balance: Balance) -> dict[str, float]:
-        """What is told of an answer beside its displacement."""
-        ...
+    def reserved(self, status: Status, balance: Balance) -> Status:  # noqa: ARG002
+        """The status of an answer, with what the body itself does not follow; one body follows all it knows."""
+        return status
 
 
-class Whole:
+class Whole(Large):
     """A formulation's body as it is, with the factor at rest for its slope: one fluid, one pressure."""
 
     n_pressures = 1
@@ -146,20 +142,11 @@ class Whole:
         change, border = self.factor.solve_updated(force, target, row)
         return turned(change.reshape(len(nodes), -1), turn), border[:1]
 
-    def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:  # noqa: ARG002
-        return np.zeros_like(change), np.zeros_like(balance.gap)  # the last correction closes it
-
     def energy(self, balance: Balance) -> float:
         return self.problem.formulation.deformed_energy(balance.x, balance.parts[0])
 
     def mean_pressure(self, balance: Balance) -> float:
         return float(balance.pressure[0])
-
-    def reserved(self, status: Status, balance: Balance) -> Status:  # noqa: ARG002 - one body follows all it knows
-        return status
-
-    def scalars(self, balance: Balance) -> dict[str, float]:  # noqa: ARG002 - one body has no more to tell
-        return {}
 
 
 @dataclass(frozen=True)
