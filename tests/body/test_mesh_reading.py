@@ -91,22 +91,19 @@ def test_what_would_break_a_reader_is_refused(tmp_path: Path, name: str) -> None
     assert told.isprintable()
 
 
-@pytest.mark.parametrize("verb", ["check", "run"])
 def test_the_command_tells_a_file_that_ends_its_reader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], verb: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "liver.vtp").write_bytes(CRASH)
     shape = ('shape = "sphere"\nradius = "50 mm"', 'shape = "file"\npath = "liver.vtp"')
     write_study(tmp_path, shape=shape)
     with pytest.raises(SystemExit) as ended:
-        main([verb, "small.toml"])
+        main(["check", "small.toml"])
     told = capsys.readouterr().err
     assert ended.value.code == 2, told
-    assert "liver.vtp: ends its reader with signal" in told
-    if verb != "run":
-        assert told.startswith("vdmbench: small.toml:10: geometry.path: liver.vtp: ")
-        assert told.count("\n") == 1
+    assert told.startswith("vdmbench: small.toml:10: geometry.path: liver.vtp: ends its reader with signal")
+    assert told.count("\n") == 1
 
 
 @pytest.fixture

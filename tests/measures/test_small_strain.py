@@ -28,7 +28,7 @@ models = ["bem", "fem-linear", "fem"]
 reference = "fem"
 [geometry]
 shape = "box"
-size = ["60 mm", "60 mm", "30 mm"]
+size = ["40 mm", "40 mm", "30 mm"]
 mesh_size = "15 mm"
 [tissue]
 youngs_modulus = "5 kPa"
@@ -132,7 +132,7 @@ def test_the_limit_of_a_departure_by_a_power_law_is_that_of_the_refined_mesh(fou
 
 SIDE = """
 [regions.side]
-box = { min = ["30 mm", -1, 0], max = [1, 1, 1] }
+box = { min = ["20 mm", -1, 0], max = [1, 1, 1] }
 [gravity]
 acceleration = [0, 0, -4]
 [[constraints]]
