@@ -33,7 +33,7 @@ def reserved(
     """The status of a step, with a reservation where one of three errors is beyond `LIMIT`; NaN is none.
 
     `bending` is that of `vdm.bending`, of the form on this body; the second the sum of `mesh`, of `vdm.mesh_error`
-    for this load, and of what twice as many `parts` change; the third `shape`, of `vdm.mesh_error` too.
+    for this load, and of what twice as many `parts` change, in shape too; the third `shape`, of `vdm.mesh_error`.
     """
     left = float(np.nansum([mesh, parts]))
     if not status.ok:
@@ -49,7 +49,8 @@ def reserved(
     elif left > LIMIT and isinstance(form, BoundaryFormulation):
         of_parts = parts > mesh
         leave = "parts leave" if of_parts else "mesh leaves"
-        message = f"the {leave} about {100 * left:.0f} % of the displacement open"
+        open_ = "displacement or of the change of shape" if of_parts else "displacement"
+        message = f"the {leave} about {100 * left:.0f} % of the {open_} open"
         remedy = _finer(form, left, "above all at the edges of supports and loads")
         if of_parts:
             remedy = "give more parts"

@@ -395,7 +395,9 @@ def test_a_bar_is_not_known_where_twice_the_parts_find_no_balance(monkeypatch: p
 
     def lost(self: NonlinearSolver, load: Load, previous: Any = None) -> Any:
         found = step(self, load, previous)
-        return found if self is model.solver.solver else replace(found, unknown=np.nan * found.unknown)
+        return (
+            found if self is model.solver.solver else replace(found, status=Status("not-converged", "lost"))
+        )
 
     monkeypatch.setattr(NonlinearSolver, "step", lost)
     answered = model.solve([load])
@@ -449,6 +451,33 @@ def test_a_body_that_is_strained_too_far_is_not_cut_for_it() -> None:
         scalars = {**found.scalars, "part_strain": np.array([strain])}
         failed = replace(found, status=(ended,), scalars=scalars, displacement=moved[None])
         assert model.solver.doubled(failed) == is_doubled
+
+
+def test_a_body_whose_answer_turns_as_its_linear_one_did_not_is_cut_for_it() -> None:
+    """By more than 10 degrees within it; not where it turns as one, as far as that may be."""
+    model = clamped(ROD, share=0.3)
+    found = model.solve([at_tip(ROD[0], np.array([0.01, 0.0, 0.0]))])
+    assert isinstance(model.solver, PartsSolver)
+    x = ROD[0] - ROD[0].min(axis=0)
+    bent = np.stack([-x[:, 0] * x[:, 2], 0.0 * x[:, 0], 0.5 * x[:, 0] ** 2], axis=1) / x[:, 0].max()
+    turned = x @ np.diag([-1.0, -1.0, 1.0]) - x
+    for moved, is_doubled in ((turned, False), (0.1 * bent, False), (bent, True)):
+        assert model.solver.doubled(replace(found, displacement=moved[None])) == is_doubled
+
+
+def test_twice_the_parts_are_compared_in_their_change_of_shape_too() -> None:
+    """Where it is a small share of what moves; what is carried as one has none."""
+    solver = clamped(ROD, share=0.3).solver
+    assert isinstance(solver, PartsSolver)
+    x, quarter = ROD[0], np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+    def carried(strain: float) -> Array:
+        return (x * [1.0 + strain, 1.0, 1.0]) @ quarter - x + [0.0, 0.0, 0.5]
+
+    assert solver._apart(carried(0.012), carried(0.01)) == pytest.approx(0.2)
+    assert solver._apart(1.1 * carried(0.0), carried(0.0)) == pytest.approx(0.1)
+    assert solver._apart(carried(0.0), carried(0.0)) == 0.0
+    assert np.isnan(solver._apart(carried(0.0), 0.0 * x))
 
 
 def test_fewer_parts_than_were_given_are_told() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from vdm.reservations import LIMIT
 from vdm.solution import Solution, SolverError
 from vdm.solvers.audit import Audit
 from vdm.solvers.linear import BorderedFactor, LinearSolver
-from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver, carried
+from vdm.solvers.nonlinear import SMALLEST_MOTION, DeformedStep, NonlinearSolver, carried
 
 
 class PartsSolver:
@@ -76,16 +77,14 @@ class PartsSolver:
         themselves decides. Unless answers are `compared`, none has twice the parts.
         """
         start = time.perf_counter()
-        surface, load = self._whole.formulation.surface, self._unturned(self._largest(loads))
-
+        load = self._unturned(self._largest(loads))
         if self._given:
             self._solver = self._of(self._given)
             self.body.wanted = self._given
         else:
-            pieces = pieces_of(surface)
 
             def wanted(linear: LinearSolver) -> int:
-                return parts_wanted(surface, pieces, linear.step(load).displacement)
+                return self._wanted(linear.step(load).displacement)
 
             guess = _guess(self._whole)
             count = min(max(self._least, 1 if guess is None else wanted(guess)), MOST_PARTS)
@@ -116,21 +115,19 @@ class PartsSolver:
         """Whether the body has twice the parts from now on, as its answers to the loads ask for.
 
         Where no balance was found, but where the last state is strained by more than `LARGEST_STRAIN` and turns by
-        less than `MOST_TURN` within its parts, which more of them do not mend. Or where the parts would be told to
-        leave too much open (`vdm.reservations`) and the doubled can be compared with twice as many themselves.
+        less than `MOST_TURN` within its parts, which more of them do not mend. Or where an answer turns by more,
+        which the linear one did not foresee, or the parts would be told to leave too much (`vdm.reservations`),
+        and the doubled can be compared with twice as many themselves.
         """
         if self._given:
             return False
         failed = [not status.ok for status in solution.status]
         answered, scalars = not any(failed), solution.scalars
-        if not answered:
-            first, surface = failed.index(True), self._whole.formulation.surface
-            needed = parts_wanted(surface, pieces_of(surface), solution.displacement[first])
-            if scalars["part_strain"][first] > LARGEST_STRAIN and needed <= self.body.n_parts:
+        if max(self._wanted(self._changed(u)) for u in solution.displacement) <= self.body.n_parts:
+            if not answered and scalars["part_strain"][failed.index(True)] > LARGEST_STRAIN:
                 return False
-        else:
             apart, mesh = (scalars.get(name, np.zeros(1)) for name in ("parts_error", "mesh_error"))
-            if not ((apart > mesh) & (apart + mesh > LIMIT)).any():
+            if answered and not ((apart > mesh) & (apart + mesh > LIMIT)).any():
                 return False
         finer = self._finer or self._twice(self.body)
         if finer is None or (answered and self._twice(_parts(finer)) is None):
@@ -157,8 +154,8 @@ class PartsSolver:
     def scalars(self, step: Step) -> dict[str, float]:
         """What is told of a step beside its displacement: see `Parts.scalars`, and `parts_error`.
 
-        That is the distance to the answer of twice the parts under the load that was reached, over its size, by
-        area; NaN where that answer was not found, and where nothing acts or moves.
+        That is how far the answer of twice the parts is under the load that was reached, in displacement or in
+        change of shape; NaN where that answer was not found, and where nothing acts or moves.
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return {}
@@ -170,11 +167,38 @@ class PartsSolver:
         self._finer_step = self._finer.step(step.balance.load, self._finer_step)
         if not self._finer_step.status.ok:
             return {**found, "parts_error": np.nan}
-        area = self._whole.formulation.surface.nodal_areas[:, None]
-        other = self._finer_step.displacement
-        size = float(np.sqrt((area * other**2).sum()))
-        apart = float(np.sqrt((area * (other - step.displacement) ** 2).sum()))
-        return {**found, "parts_error": apart / size if size > 0.0 else np.nan}
+        return {**found, "parts_error": self._apart(step.displacement, self._finer_step.displacement)}
+
+    def _apart(self, u: Array, finer: Array) -> float:
+        """The distance of two displacements (N, 3), or if larger of their changes of shape, over the second's size.
+
+        By area, NaN where nothing moves; a change of shape that is rounding is none.
+        """
+        areas = self._whole.formulation.surface.nodal_areas
+
+        def size(x: Array) -> float:
+            return float(np.sqrt(areas @ np.square(x).sum(axis=1)))
+
+        moved, own, other = size(finer), self._changed(u), self._changed(finer)
+        if moved == 0.0:
+            return np.nan
+        apart, changed = size(u - finer) / moved, size(other)
+        return max(apart, size(own - other) / changed) if changed > SMALLEST_MOTION * moved else apart
+
+    def _changed(self, displacement: Array) -> Array:
+        """(N, 3) what a displacement has beside its best-fit rigid motion, of a finite rotation, turned back."""
+        body, areas = self._whole.body, self._whole.formulation.surface.nodal_areas
+        state = body.at(displacement)
+        left = state.positions @ state.rotation.T - body.rest
+        return np.asarray(left - areas @ left / areas.sum())
+
+    @cached_property
+    def _pieces(self) -> list[Index]:
+        return pieces_of(self._whole.formulation.surface)
+
+    def _wanted(self, displacement: Array) -> int:
+        """How many parts the body needs that moves by (N, 3)."""
+        return parts_wanted(self._whole.formulation.surface, self._pieces, displacement)
 
     def _largest(self, loads: Sequence[Load]) -> Load:
         return max(loads, key=self._size)
