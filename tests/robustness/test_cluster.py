@@ -149,7 +149,7 @@ def test_nobody_there_and_nobody_to_be_trusted(tmp_path: Path, monkeypatch: pyte
         address = f"tcp://127.0.0.1:{held.getsockname()[1]}"
         told = f"no scheduler answers at {address}; start one with: dask scheduler {LOOPBACK}"
         with (
-            dask.config.set({"distributed.comm.timeouts.connect": "1s"}),
+            dask.config.set({"distributed.comm.timeouts.connect": "200 ms"}),
             pytest.raises(ClusterError, match=re.escape(told)),
         ):
             _connect(address, tmp_path)
