@@ -122,14 +122,11 @@ def vdmbench(
 
 @contextlib.contextmanager
 def own_signals() -> Iterator[None]:
-    """The command leaves its own answers to signals, and to errors that nobody can catch: those of before."""
-    numbers = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGALRM)
-    before = {number: signal.getsignal(number) for number in numbers}
-    hook = sys.unraisablehook
+    """The command leaves its own answers to signals: those of before."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM)}
     try:
         yield
     finally:
-        sys.unraisablehook = hook
         for number, answer in before.items():
             signal.signal(number, answer)
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import Future
 from pathlib import Path
 
-from vdmbench.work.plan import Plan, PlannedCase
+from vdmbench.work.plan import Plan
 from vdmbench.work.pool import run_tasks
-from vdmbench.work.tasks import Task, tasks_of
-from vdmbench.work.worker import Said, do_task
+from vdmbench.work.tasks import tasks_of
+from vdmbench.work.worker import do_task
 
 
 class HerePool:
@@ -24,13 +23,8 @@ class HerePool:
         return future
 
 
-def outcomes_of(plan: Plan, cases: Sequence[PlannedCase] | None = None) -> list[tuple[Task, Said]]:
-    """What becomes of the tasks that these cases need, of all that are missing by default."""
-    tasks = tasks_of(plan, plan.cases_to_run() if cases is None else cases)
-    return list(run_tasks(tasks, HerePool(), plan.directory / "failed"))
-
-
-def do_cases(plan: Plan, cases: Sequence[PlannedCase] | None = None) -> None:
-    """The same where all are to succeed."""
-    failed = [(task.label, said) for task, said in outcomes_of(plan, cases) if not said.ok]
+def do_cases(plan: Plan) -> None:
+    """All tasks that are missing, which are to succeed."""
+    done = run_tasks(tasks_of(plan, plan.cases_to_run()), HerePool(), plan.directory / "failed")
+    failed = [(task.label, said) for task, said in done if not said.ok]
     assert not failed, failed

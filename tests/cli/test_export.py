@@ -17,23 +17,18 @@ from numpy.testing import assert_allclose
 from tests.command import do
 from tests.report.runs import asked, make_case, sweep_run
 from vdmbench.cli.arguments import parse
-from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.case import CaseResult
 from vdmbench.report.blocks import Cell, Field, Table
 from vdmbench.report.export import surface_fields, table_csv, unit_of
-
-
-def _export(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    (tmp_path / "run" / "cases").mkdir(parents=True)
-    monkeypatch.setattr("vdmbench.store.cases.read_run", lambda _: run)
-    assert do(parse(["export", f"{tmp_path}/run", "--to", f"{tmp_path}/out", "--json"])) == 0
-    return tmp_path / "out"
 
 
 def test_every_file_is_read_by_another_program(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = sweep_run()
-    out = _export(run, tmp_path, monkeypatch)
+    run, out = sweep_run(), tmp_path / "out"
+    (tmp_path / "run" / "cases").mkdir(parents=True)
+    monkeypatch.setattr("vdmbench.store.cases.read_run", lambda _: run)
+    assert do(parse(["export", f"{tmp_path}/run", "--to", f"{out}", "--json"])) == 0
     told = json.loads(capsys.readouterr().out)
     assert sorted(told["files"]) == sorted(str(p.relative_to(out)) for p in out.rglob("*") if p.is_file())
     drawings = sorted((out / "figures").glob("*.svg"))

@@ -121,30 +121,19 @@ class Browser:
             self.events.append(message)
         return message
 
-    def open(
-        self, path: Path, width: int, height: int = 900, *, dark: bool = False, scripts: bool = True
-    ) -> None:
+    def open(self, path: Path, width: int, *, dark: bool = False, scripts: bool = True) -> None:
         """Load a file and wait until it is drawn; `scripts=False` as where they are switched off."""
         self.send("Emulation.setScriptExecutionDisabled", value=not scripts)
         media = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         self.send("Emulation.setEmulatedMedia", features=media)
-        self.resize(width, height)
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 700}
+        self.send("Emulation.setDeviceMetricsOverride", **size)
         self.events.clear()
         self.send("Page.navigate", url=path.resolve().as_uri())
         while not any(event["method"] == "Page.loadEventFired" for event in self.events):
             self._receive(PATIENCE)
         if scripts:
             self.settle()
-
-    def resize(self, width: int, height: int) -> None:
-        """Size of the window in CSS pixels."""
-        self.send(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=width < 700,
-        )
 
     def settle(self) -> None:
         """Wait until what is to be drawn is drawn."""

@@ -267,12 +267,12 @@ def example_inputs() -> InputSpread:
     )
 
 
-def whole_case(case_hash: str = "ab" * 32, label: str = "poisson_ratio = 0.45") -> CaseResult:
+def whole_case(case_hash: str = "ab" * 32) -> CaseResult:
     """A case with all that a file can hold, steps and numbers that are none among it."""
     steps = (0.25, 0.5, 1.0)
     case = make_case(
         {"vdm-paper": 0.1},
-        label=label,
+        label="poisson_ratio = 0.45",
         reference="fem:direct",
         steps=steps,
         stopped={"vdm-paper": 2},

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.pushed import Answer
-from vdmbench.report.blocks import Figures, Section
+from vdmbench.report.blocks import Figures
 from vdmbench.report.section_charts import force_against_indentation
 from vdmbench.verdict.acceptance import pushes
 from vdmbench.verdict.digest import Digest
@@ -54,52 +54,22 @@ def test_indentation_is_the_deepest_node_of_the_contact() -> None:
     assert_allclose(curve(case, "m")[0], 1.5 * found, rtol=RTOL, atol=ATOL)
 
 
-def moved_case(displacement: object = (0.0, 0.003, 0.004), **how: object) -> CaseResult:
-    """The base is moved; model m pulls at it with 1 N along z at full load, twice that in the reference."""
-    case = make_case(
-        {"m": 0.5},
-        contact={"kind": "constrained", "region": "base", "displacement": displacement, "name": "tool"},
-        **how,  # type: ignore[arg-type]
-    )
-    double = dataclasses.replace(
-        case.models[REFERENCE], reaction_force=2.0 * case.models[REFERENCE].reaction_force
-    )
-    return dataclasses.replace(case, models={**case.models, REFERENCE: double})
-
-
 def test_force_of_a_movement_is_the_reaction_along_it() -> None:
-    case = moved_case(steps=(0.5, 1.0))
-    length, force = curve(case, "m")
+    """The base is moved; model m pulls at it with 1 N along z at full load."""
+    tool = {"kind": "constrained", "region": "base", "displacement": (0.0, 0.003, 0.004), "name": "tool"}
+    length, force = curve(make_case({"m": 0.5}, contact=tool, steps=(0.5, 1.0)), "m")
     assert_allclose(length, [0.0025, 0.005], rtol=RTOL, atol=ATOL)
     assert_allclose(force, [0.4, 0.8], rtol=RTOL, atol=ATOL)  # 1 N along z, projected on (0, 3, 4) / 5
-    assert_allclose(curve(case)[1], [0.8, 1.6], rtol=RTOL, atol=ATOL)
-
-
-def force_section(*cases: CaseResult) -> Section:
-    section = force_against_indentation(Digest(make_run(cases)))
-    assert section is not None
-    return section
-
-
-def figures_of(section: Section) -> list[tuple[str, str]]:
-    """(title, text alternative) of every figure."""
-    (figures,) = (block for block in section.blocks if isinstance(block, Figures))
-    told = [re.search(r'aria-label="([^"]*)"', str(figure.svg)) for figure in figures.figures]
-    assert all(told)
-    return [
-        (figure.title, match.group(1)) for figure, match in zip(figures.figures, told, strict=True) if match
-    ]
 
 
 def test_force_of_an_indenter_over_its_depth() -> None:
     touch = {"kind": "indenter", "region": "base", "depth": 0.004, "shape": "sphere", "radius": 0.01}
     case = make_case({"m": 0.5}, contact=touch, steps=(0.5, 1.0))
-    told = {
-        name: dataclasses.replace(result, scalars={"indenter_force": np.array([0.2, 0.7])})
-        for name, result in case.models.items()
-        if name == REFERENCE
-    }
-    pushed = dataclasses.replace(case, models={**case.models, **told})
-    ((_, words),) = figures_of(force_section(pushed))
+    touched = dataclasses.replace(case.models[REFERENCE], scalars={"indenter_force": np.array([0.2, 0.7])})
+    pushed = dataclasses.replace(case, models={**case.models, REFERENCE: touched})
+    section = force_against_indentation(Digest(make_run([pushed])))
+    assert section is not None
+    (figures,) = (block for block in section.blocks if isinstance(block, Figures))
+    (words,) = re.findall(r'aria-label="([^"]*)"', "".join(str(figure.svg) for figure in figures.figures))
     assert "to 700 mN at 4 mm" in words
     assert ": m " not in words, "a model without contact has no curve"

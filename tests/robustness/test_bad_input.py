@@ -39,22 +39,12 @@ def _failure_cut(directory: Path) -> None:
     path.write_text("{}")
 
 
-# what spoils a directory with a run: how, what to call, the exit code, a part of what is said
-DAMAGE: dict[str, tuple[Callable[[Path], object], str, int, str]] = {
-    "no plan": (lambda d: (d / RUN / "plan.json").unlink(), f"report {RUN}", 5, "not a run directory"),
-    "no study text": (
-        lambda d: (d / RUN / "study.toml").unlink(), f"report {RUN}", 5, "study.toml: not readable",
-    ),
-    "damaged failure": (
-        _failure_cut, f"report {RUN}", 5, "damaged ('hash' is not there); delete it and run again",
-    ),
-}  # fmt: skip
-
-
-@pytest.fixture
-def spoilt(undisturbed: tuple[Path, float], tmp_path: Path) -> Path:
-    """A finished directory, to be broken."""
-    return Path(shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True))
+# what spoils a directory with a run, and a part of what `report` then says
+DAMAGE: list[tuple[Callable[[Path], object], str]] = [
+    (lambda d: (d / RUN / "plan.json").unlink(), "not a run directory"),
+    (lambda d: (d / RUN / "study.toml").unlink(), "study.toml: not readable"),
+    (_failure_cut, "damaged ('hash' is not there); delete it and run again"),
+]
 
 
 def said(*arguments: str | Path, code: int, cwd: Path) -> str:
@@ -67,11 +57,13 @@ def said(*arguments: str | Path, code: int, cwd: Path) -> str:
     return result.stdout + result.stderr
 
 
-@pytest.mark.parametrize("wrong", DAMAGE)
-def test_what_is_wrong_with_results_is_told(spoilt: Path, wrong: str) -> None:
-    spoil, command, code, words = DAMAGE[wrong]
-    spoil(spoilt)
-    assert words in said(*command.split(), code=code, cwd=spoilt)
+@pytest.mark.parametrize(("spoil", "words"), DAMAGE)
+def test_what_is_wrong_with_results_is_told(
+    undisturbed: tuple[Path, float], tmp_path: Path, spoil: Callable[[Path], object], words: str
+) -> None:
+    shutil.copytree(undisturbed[0], tmp_path, dirs_exist_ok=True)
+    spoil(tmp_path)
+    assert words in said("report", RUN, code=5, cwd=tmp_path)
 
 
 # --- the machine ---

@@ -22,11 +22,11 @@ def place(tmp_path: Path) -> Path:
 
 
 def _shell(
-    command: str, redirections: str, directory: Path, program: str = f"'{SCRIPT}'", **environment: str
+    command: str, redirections: str, directory: Path, **environment: str
 ) -> subprocess.CompletedProcess[str]:
     """A command as a shell runs it; the exit code is that of `vdmbench`, also in a pipe."""
     return subprocess.run(
-        ["bash", "-c", f"{program} {command} {redirections}; exit ${{PIPESTATUS[0]}}"],
+        ["bash", "-c", f"'{SCRIPT}' {command} {redirections}; exit ${{PIPESTATUS[0]}}"],
         cwd=directory,
         env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
         capture_output=True,

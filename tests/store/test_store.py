@@ -203,30 +203,22 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         store.read_case(path)
 
 
-KEY = "tissue.poisson_ratio"
-SWEPT = {KEY: 0.45}
-
-
-def _run_directory(directory: Path) -> None:
+def test_run_directory(tmp_path: Path) -> None:
     """Three planned cases: one done, one failed, one missing."""
-    done, failed = whole_case("a1" * 32), "b2" * 32
-    store.write_case(case_path(directory, done.hash), done)
+    done, failed, swept = whole_case("a1" * 32), "b2" * 32, {"tissue.poisson_ratio": 0.45}
+    store.write_case(case_path(tmp_path, done.hash), done)
     reason = {"hash": failed, "label": "x", "code": "error", "message": "too coarse", "remedy": "refine"}
-    write_failure(failure_path(directory, failed), reason, "")
+    write_failure(failure_path(tmp_path, failed), reason, "")
     planned = [
-        {"hash": h, "label": f"case {h[:2]}", "swept": SWEPT, "swept_units": {KEY: "1"}}
+        {"hash": h, "label": f"case {h[:2]}", "swept": swept, "swept_units": dict.fromkeys(swept, "1")}
         for h in (done.hash, failed, "c3" * 32)
     ]
-    write_plan(directory, {"study": {"name": "s"}, "cases": planned})
-    (directory / STUDY).write_text("[study]")
-    (directory / RESOLVED).write_text(tomli_w.dumps(resolved(done.study)))
-
-
-def test_run_directory(tmp_path: Path) -> None:
-    _run_directory(tmp_path)
+    write_plan(tmp_path, {"study": {"name": "s"}, "cases": planned})
+    (tmp_path / STUDY).write_text("[study]")
+    (tmp_path / RESOLVED).write_text(tomli_w.dumps(resolved(done.study)))
     run = store.read_run(tmp_path)
     assert [case.label for case in run.cases] == ["case a1"], "label and swept values are the plan's"
-    assert run.cases[0].swept == SWEPT
+    assert run.cases[0].swept == swept
     assert [failure["message"] for failure in run.failed] == ["too coarse"]
     assert run.missing == ["case c3"]
     path = case_path(tmp_path, "a1" * 32)

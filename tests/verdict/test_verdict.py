@@ -22,9 +22,9 @@ from vdmbench.verdict.words import told
 MODEL = "vdm-vector"
 
 
-def verdict(run: Run, model: str = MODEL) -> Verdict:
-    """The verdict of a model's family."""
-    return verdicts(Digest(run))[family_of(model)]
+def verdict(run: Run) -> Verdict:
+    """The verdict of the model's family."""
+    return verdicts(Digest(run))[family_of(MODEL)]
 
 
 def bars(vector: float, deformation: float | None = None) -> dict[str, float]:

@@ -12,7 +12,6 @@ import pytest
 from tests.report.runs import asked, make_case, make_run, measured_anew
 from vdmbench.measures.case import CaseResult, MetricSeries, Run
 from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
-from vdmbench.study.registry import family_of
 from vdmbench.verdict.advice import (
     COMPRESSIBILITY,
     LEFT_OUT,
@@ -26,16 +25,11 @@ from vdmbench.verdict.advice import (
     reasons,
 )
 from vdmbench.verdict.digest import Digest
-from vdmbench.verdict.verdict import Verdict, verdicts
+from vdmbench.verdict.verdict import verdicts
 from vdmbench.verdict.words import said
 
 STEPS = (0.05, 0.5, 1.0)
 OFF_BY = {"gci:relative_l2_displacement_error": 0.01, "gci:relative_l2_deformation_error": 0.01}
-
-
-def verdict(digest: Digest, model: str = "vdm-vector") -> Verdict:
-    """The verdict of a model's family."""
-    return verdicts(digest)[family_of(model)]
 
 
 def causes(run: Run, model: str = "vdm-vector") -> dict[str, Reason]:
@@ -212,8 +206,9 @@ def test_a_frame_that_takes_too_long_is_told() -> None:
     case = measured_anew(make_case({"vdm-vector": 0.01, "fem-condensed": 0.02}, subdivisions=0))
     run = make_run([case], acceptance={"frame_time": 3e-4})  # they take 0.4 and 0.8 ms
     assert causes(run) == {TIME: Reason(TIME, {"frame_time": pytest.approx(4e-4)}, {"sure": True})}
-    assert verdict(Digest(run)).word == "no"
-    moving = verdicts(Digest(run)).take[1]
+    found = verdicts(Digest(run))
+    assert found["vdm-derived"].word == "no"
+    moving = found.take[1]
     assert (moving.kind, moving.allowed, moving.model) == ("none quick enough", 3e-4, "")
     assert causes(make_run([case], acceptance={"frame_time": 5e-4})) == {}
 
