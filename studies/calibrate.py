@@ -281,10 +281,14 @@ class Fit:
     transfer: Mapping[str, Errors] = field(default_factory=dict)
 
 
-def calibrate(body: Body, others: Sequence[Body] = ()) -> list[Fit]:
-    """Fit every surface model of a body and try the fits elsewhere."""
+def calibrate(
+    body: Body, others: Sequence[Body] = (), watch: Callable[[str], None] = lambda _: None
+) -> list[Fit]:
+    """Fit every surface model of a body and try the fits elsewhere; `watch` is told which is at work."""
     found = []
-    for one in (fit(name, body.training, body.held_out) for name in body.models):
+    for name in body.models:
+        watch(f"fitting {name}")
+        one = fit(name, body.training, body.held_out)
         there = {
             other.name: Trial(one.model, other.held_out, tuple(one.multiples))
             for other in others

@@ -137,7 +137,7 @@ def calibrate_study(options: argparse.Namespace) -> int:
     for run in runs:
         complain_of_failures(run)
     own, *others = (body(*each) for each in zip(plans, runs, strict=True))
-    entries = calibrate(own, others)
+    entries = calibrate(own, others, tell)
     data, out = {own.name: as_json(entries)}, plan.directory
     write_atomically(out / "calibration.json", json_text(data, indent=1).encode())
     write_atomically(out / "calibration.toml", as_toml(entries).encode())

@@ -201,7 +201,13 @@ def _time_frames(
     payload = {"directory": str(plan.directory.absolute()), "every": every, "least": least, "items": items}
     task = Task("times", "times", "times of a frame", payload, frozenset())
     watch(Event("started", task.label))
-    for _, said in run_tasks([task], pool, plan.directory.absolute() / "failed", timeout=options.timeout):
+    for _, said in run_tasks(
+        [task],
+        pool,
+        plan.directory.absolute() / "failed",
+        timeout=options.timeout,
+        where=lambda task, line: watch(Event("at", task.label, message=line)),
+    ):
         if not said.ok:
             told = f"the times of a frame are not measured: {said.message}"
             watch(Event("told", plan.study.study.name, message=told))

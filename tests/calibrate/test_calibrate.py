@@ -110,7 +110,9 @@ def test_a_fit_is_carried_to_another_body_as_a_multiple_of_its_rule(samples: lis
     ]
     soft = Body("soft", ("vdm-vector",), tuple(known[:2]), tuple(known[2:]))
     other = Body("stiff", ("vdm-vector", "vdm-paper"), tuple(stiff[:2]), tuple(stiff[2:]))
-    (entry,) = calibrate(soft, [other])
+    told: list[str] = []
+    (entry,) = calibrate(soft, [other], told.append)
+    assert told == ["fitting vdm-vector"]
     assert_allclose(entry.transfer["stiff"].vector, 0.0, rtol=0, atol=1e-9)
     (row,) = table([entry])
     assert row["times its rule"] == "1.3"

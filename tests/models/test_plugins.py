@@ -159,9 +159,10 @@ def test_a_package_that_does_not_load_costs_its_own_models_alone(tmp_path: Path)
 
 
 def test_a_model_with_no_time_left_has_the_rounds_that_decide(scene: Scene) -> None:
-    models.register(_plugin(_set("seconds_per_step", lambda seconds: seconds)))
-    rounds = {k: frame_times(scene, ["theirs"], 5, 0.0, least=k)["theirs"].contact.shape for k in (1, 3)}
-    assert rounds == {1: (1,), 3: (3,)}
+    models.register(_plugin(_set("seconds_per_step", lambda seconds: seconds + 0.03)))
+    for least in (1, 3):
+        found = frame_times(scene, ["theirs"], 5, 0.0, least=least)["theirs"]
+        assert np.isfinite(found.contact).tolist() == [True] * least
 
 
 @pytest.mark.parametrize(("told", "known"), [(0.0, False), (1e-9, True)])
