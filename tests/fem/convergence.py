@@ -67,20 +67,8 @@ class Convergence:
         (h0, e0), (h1, e1) = self.rows[-2:]
         return float(np.log(e0 / e1) / np.log(h0 / h1))
 
-    @property
-    def table(self) -> str:
-        lines = [f"{self.name} (expected {self.expected:g})", "| h | error | order |", "| --- | --- | --- |"]
-        for k, (h, error) in enumerate(self.rows):
-            order = ""
-            if k:
-                h0, e0 = self.rows[k - 1]
-                order = f"{np.log(e0 / error) / np.log(h0 / h):.2f}"
-            lines.append(f"| {h:.4g} | {error:.3e} | {order} |")
-        return "\n".join(lines)
-
     def check(self, verified: Verified) -> None:
         """Record the finest error and the observed order."""
-        print(self.table)
         h, error = self.rows[-1]
         verified.at_most(f"{self.name}: error at h = {h:.4g}", error, self.cap)
         if error > self.rounding:
