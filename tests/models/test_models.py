@@ -180,6 +180,7 @@ def test_a_history_equals_its_steps_one_by_one(gravity: dict[str, object] | None
     tool = {"kind": "constrained", "region": "finger", "displacement": [0.0, 0.0002, -0.001]}
     for constraint in (STUDY["constraints"][1], tool):
         tables = STUDY | {
+            "geometry": STUDY["geometry"] | {"mesh_size": 0.025},
             "constraints": [STUDY["constraints"][0], constraint],
             "load": {"factors": [0.3, -1.0, 2.0]},
         }
@@ -227,7 +228,7 @@ def test_which_elements_have_no_answer_for_an_incompressible_body_is_known(scene
 
 
 PRESSED = {
-    "geometry": {"shape": "ellipsoid", "semi_axes": [0.06, 0.04, 0.05], "mesh_size": 0.013},
+    "geometry": {"shape": "ellipsoid", "semi_axes": [0.06, 0.04, 0.05], "mesh_size": 0.016},
     "constraints": [
         {"kind": "fixed", "region": "base"},
         {"kind": "contact", "region": "finger", "force": 0.1, "profile": "hertz"},

@@ -121,17 +121,6 @@ def test_refined_springs_are_the_same_springs(box: Mesh) -> None:
     assert_allclose(facet_areas(points, triangles).sum(), 0.06 * 0.03, rtol=1e-12)
 
 
-def test_a_bed_alone_holds_a_body(box: Mesh) -> None:
-    """Springs in every direction under all of it hold elements: the force goes through them alone."""
-    push = BASE["constraints"][2]
-    full = BED | {"direction": "full"}
-    result = answer(box, "fem-linear", constraints=[full, push])
-    assert_allclose(result.reaction_force[0].sum(axis=0), [0, 0, FORCE], atol=1e-9)
-    sliding = answer(box, "fem-linear", constraints=[BED, push])
-    assert sliding.status[0].code == models.REFUSED, "nothing stops it from sliding"
-    assert "too little is held" in sliding.status[0].message
-
-
 @pytest.mark.parametrize("direction", ["normal", "full"])
 @pytest.mark.parametrize("name", ["vdm-vector", "bem", "fem-linear"])
 def test_a_stiff_ball_turns_in_its_bed_as_a_rigid_one_would(ball: Mesh, name: str, direction: str) -> None:
