@@ -13,7 +13,7 @@ import numpy as np
 from ..measures.case import CaseResult
 from ..study.registry import FINITE_STRAIN, Family, is_linear, is_surface, split
 from .acceptance import BEYOND, FRAME_TIME, LOST, OPEN, WITHIN, Criterion
-from .digest import Digest, Figures, failed_steps
+from .digest import Digest, Figures, failed_steps, median_known
 
 MODEL, LEFT_OUT, SMALL_STRAIN, MESH = "model", "left out", "small strain", "mesh"
 COMPRESSIBILITY = "compressibility"
@@ -297,11 +297,17 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
 
 
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
-    """Elements, or a surface model that is closer than all that are not the reference; where none serves, that."""
+    """Elements, or a surface model closer by more than the reference's error; where none serves, that."""
     if not elements:
         return Advice(EXACT, "elements")
     told = [name for name in elements if not digest.same_as_reference(name)]
-    best = _closest(digest, [*told, *surface]) if told else elements[0]
+    bars = [median_known(digest.bars(one.metric)) / one.allowed for one in digest.criteria if one.of_load]
+    bar = max(filter(math.isfinite, bars), default=0.0)
+
+    def share(name: str) -> float:
+        return digest.usual_share(name) + (bar if name in surface else 0.0)
+
+    best = min([*told, *surface], key=share) if told else elements[0]
     reference = digest.reference
     if told and reference is not None and digest.usual_share(best) > 1.0:
         return Advice(EXACT, "reference", (digest.figures[reference],))

@@ -213,6 +213,16 @@ def test_a_frame_that_takes_too_long_is_told() -> None:
     assert causes(make_run([case], acceptance={"frame_time": 5e-4})) == {}
 
 
+@pytest.mark.parametrize(("elements", "model"), [(0.04, "fem-linear"), (0.2, "bem")])
+def test_elements_serve_a_few_per_cent_unless_a_surface_model_is_surely_closer(
+    elements: float, model: str
+) -> None:
+    """3.5 and 4 % are one where the reference itself is 1 % off."""
+    errors = {"bem": 0.035, "fem-linear": elements}
+    case = make_case(errors, reference="fem", reference_error=OFF_BY, subdivisions=0)
+    assert verdicts(Digest(make_run([case]))).take[-1].model == model
+
+
 def test_condensed_elements_are_as_good_as_linear_ones_whose_frames_take_too_long() -> None:
     case = measured_anew(make_case({"vdm-vector": 0.2, "fem-linear": 0.02}, reference="fem", subdivisions=0))
     for limit in ({}, {"frame_time": 1e-6}):
