@@ -23,7 +23,7 @@ def power_law(order: float, ratio: float, levels: int, size: float, h: float = 0
     return [7.0 + size * (h * ratio**level) ** order for level in range(levels)]
 
 
-@pytest.mark.parametrize("order", [0.6, 1.0, 2.0, 3.0])
+@pytest.mark.parametrize("order", [0.6, 1.0, 2.0, 3.9])
 @pytest.mark.parametrize(("ratio", "levels"), [(1.4, 3), (2.0, 3), (2.0, 4)])
 @pytest.mark.parametrize("size", [3.0, -3.0])
 def test_a_pure_power_law_is_recovered(order: float, ratio: float, levels: int, size: float) -> None:
@@ -72,17 +72,6 @@ def test_an_unreasonable_order_is_named_and_not_used(
     assert_allclose([estimate.error, estimate.gci], [error, 3.0 * error], rtol=1e-12, atol=0)
     values = list(np.cumsum([2.0, *differences]))
     assert estimate_limit(values)[0] == 2.0, "no extrapolation from levels that do not converge"
-
-
-@pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
-def test_the_bar_holds_a_sequence_with_a_second_term(order: float) -> None:
-    """f = h^p + c h^(p+1), the second up to a quarter of the first: the GCI covers the true error."""
-    for c in np.linspace(-1.5, 1.5, 11):
-        sizes = 0.1 * 2.0 ** np.arange(3)
-        values = sizes**order * (1.0 + c * 0.4 * sizes)
-        _, estimate = estimate_limit(list(values))
-        assert estimate.gci >= abs(values[0])
-        assert estimate.gci <= 4.0 * abs(values[0])
 
 
 @pytest.mark.parametrize(("differences", "ratio"), [([], 2.0), ([0.1], 1.0), ([0.1], 0.5)])
