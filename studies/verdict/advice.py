@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from ..measures.case import CaseResult
-from ..study.registry import FINITE_STRAIN, Family, is_linear, is_surface, split
+from ..study.registry import FINITE_STRAIN, Family, is_linear, is_surface, lacks, split
+from ..study.schema import extras_for
 from .acceptance import BEYOND, FRAME_TIME, LOST, OPEN, WITHIN, Criterion
 from .digest import Digest, Figures, failed_steps, median_known
 
@@ -266,7 +267,9 @@ def by_interaction(digest: Digest) -> tuple[Advice, ...]:
     surface = _answered(digest, filter(is_surface, digest.compared))
     elements = _answered(digest, digest.families[Family.ELEMENTS])
     moving = [_moving(digest, surface), _cutting(digest, surface)] if surface else []
-    return (_resting(digest), *moving, _exact(digest, surface, elements))
+    refused = any(lacks(CONDENSED, extras_for(CONDENSED, case.study)) for case in digest.cases)
+    resting = [] if refused else [_resting(digest)]
+    return (*resting, *moving, _exact(digest, surface, elements))
 
 
 def _resting(digest: Digest) -> Advice:

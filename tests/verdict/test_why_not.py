@@ -213,6 +213,14 @@ def test_a_frame_that_takes_too_long_is_told() -> None:
     assert causes(make_run([case], acceptance={"frame_time": 5e-4})) == {}
 
 
+def test_condensed_elements_are_not_advised_for_what_they_refuse() -> None:
+    pushed = {"kind": "indenter", "depth": 1e-3, "shape": "sphere", "radius": 0.01}
+    for contact, kinds in ((None, ["condensed"]), (pushed, [])):
+        case = make_case({"fem-linear": 0.02}, reference="fem", contact=contact, subdivisions=0)
+        found = verdicts(Digest(make_run([case]))).take
+        assert [one.kind for one in found if one.kind == "condensed"] == kinds
+
+
 @pytest.mark.parametrize(("elements", "model"), [(0.04, "fem-linear"), (0.2, "bem")])
 def test_elements_serve_a_few_per_cent_unless_a_surface_model_is_surely_closer(
     elements: float, model: str
