@@ -11,7 +11,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .machine import cache_directory, results_directory, usable_processors
+from .machine import usable_processors
 from .measures.case import CaseResult, Run
 
 if TYPE_CHECKING:
@@ -125,20 +125,19 @@ def run(
         disk full or read-only.
     """
     from .report.rebuild import rebuild
-    from .study.config import expand, load_study
+    from .study.config import load_study
     from .study.files import study_path
     from .work.plan import make_plan
     from .work.run import Options, run_plan
 
     body = Path(surface) if surface is not None else None
     found = load_study(study_path(study), surface=body, changes=[overrides])
-    directory = Path(out) if out is not None else results_directory() / "runs" / found.study.name
-    place = Path(cache) if cache is not None else cache_directory()
-    plan = make_plan(found, expand(found), directory, place, fresh=fresh)
+    directory, place = (Path(given) if given is not None else None for given in (out, cache))
+    plan = make_plan(found, directory, place, fresh=fresh)
     how = Options(jobs=jobs or usable_processors())
     with _script_left_alone():
         data, report = run_plan(plan, how, watch, rebuild)
-    return Results(directory, data, report)
+    return Results(plan.directory, data, report)
 
 
 @contextmanager

@@ -12,7 +12,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from solver_common.arrays import Array
 
 from . import models
 from .body.mesh_cache import mesh_from_cache
-from .body.surface_measures import Surface, deformations, relative_l2, weighted_norm
+from .body.surface_measures import deformations, relative_l2, weighted_norm
 from .measures.case import CaseResult, Run
 from .measures.metrics import DEFORMATION, VECTOR, full_load_step
 from .measures.uncertainty import reference_bar
@@ -61,11 +60,6 @@ class Sample:
     reference: Array
     bars: Mapping[str, float]
     bodies: Mapping[str, str] = field(default_factory=dict)
-
-    @cached_property
-    def surface(self) -> Surface:
-        """The undeformed surface."""
-        return Surface(self.scene.mesh.surface_points, self.scene.mesh.triangles)
 
 
 @dataclass(frozen=True)
@@ -222,7 +216,7 @@ class Trial:
         """How far the model is off with these multiples of its rule."""
         vectors, shapes = [], []
         for sample, u in zip(self.samples, self.answers(multiples), strict=True):
-            surface = sample.surface
+            surface = sample.scene.surface
             vectors.append(relative_l2(u, sample.reference, surface.areas))
             u, r = deformations(surface.points, np.stack([u, sample.reference]), surface.areas)
             shapes.append(relative_l2(u, r, surface.areas))
@@ -329,7 +323,7 @@ def least_error(trial: Trial) -> Array:
     CalibrationError
         an error that falls as long as the moduli grow or shrink.
     """
-    areas = [sample.surface.areas for sample in trial.samples]
+    areas = [sample.scene.surface.areas for sample in trial.samples]
     norms = [weighted_norm(s.reference, of_node) for s, of_node in zip(trial.samples, areas, strict=True)]
 
     def in_one(fields: Sequence[Array]) -> Array:

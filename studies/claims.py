@@ -33,7 +33,7 @@ from vdm.surface import SurfaceMesh
 
 from .body.mesh_cache import mesh_from_cache
 from .body.refine import refined
-from .body.surface_measures import Surface, relative_l2, relative_l2_steps, weighted_norm
+from .body.surface_measures import relative_l2, relative_l2_steps, weighted_norm
 from .measures.metrics import History as Moved
 from .measures.metrics import along, volume_drift_of_displaced
 from .measures.reference import level_scene, restricted
@@ -133,12 +133,6 @@ class Place:
         """Its scene, with `STEPS` equal steps to the full load."""
         return build_scene(self.study, mesh_from_cache(self.study.geometry, self.cache))
 
-    @cached_property
-    def surface(self) -> Surface:
-        """Its surface at rest, under its loads."""
-        plain_surface = Surface(self.scene.mesh.surface_points, self.scene.mesh.triangles)
-        return plain_surface.under(self.scene.contact, self.scene.contact_force)
-
     def answer(self, name: str, history: History | None = None, given: Given = NOTHING) -> ModelResult:
         """What a model answers to load factors (the scene's own by default), with parameters of [vdm]."""
         key = (name, None if history is None else tuple(history), *sorted(given.items()))
@@ -157,7 +151,7 @@ class Place:
     def errors(self, name: str) -> Array:
         """(S,) displacement error of a model against finite strain over the scene's history; NaN where it stops."""
         u, r = self.answer(name).displacement, self.answer("fem").displacement
-        return relative_l2_steps(u, r, self.surface.areas)
+        return relative_l2_steps(u, r, self.scene.surface.areas)
 
     def end(self, name: str, steps: int, given: Given = NOTHING) -> Array:
         """(N, 3) what a model lacks of finite strain at full load, after equal steps; NaN where it stops."""
@@ -168,25 +162,25 @@ class Place:
         """Such an error over the displacement, or over its normal component; NaN where it is not known."""
         true = self.answer("fem").displacement[-1]
         if normal:
-            error, true = (along(field[None], self.surface.normals)[0] for field in (error, true))
-        return weighted_norm(error, self.surface.areas) / weighted_norm(true, self.surface.areas)
+            error, true = (along(field[None], self.scene.surface.normals)[0] for field in (error, true))
+        return weighted_norm(error, self.scene.surface.areas) / weighted_norm(true, self.scene.surface.areas)
 
     def drift(self, name: str, given: Given = NOTHING, load: float = 1.0) -> Array:
         """(S,) volume that a model gains or loses over what it displaces, as a size; NaN where it stops."""
         history = load * self.scene.load_factors
         found = self.answer(name, history, given)
         moved = Moved(found.displacement, found.reaction_force, history)
-        return np.abs(volume_drift_of_displaced(self.surface, moved))
+        return np.abs(volume_drift_of_displaced(self.scene.surface, moved))
 
     def turned(self, one: Array, other: Array) -> float:
         """Length of the difference of two errors (N, 3), each taken with a length of one.
 
         The reference's own error moves an error by its part along it, and the difference of two by so much of it.
         """
-        sizes = [weighted_norm(error, self.surface.areas) for error in (one, other)]
+        sizes = [weighted_norm(error, self.scene.surface.areas) for error in (one, other)]
         if not all(math.isfinite(size) and size > 0.0 for size in sizes):
             return 0.0
-        return weighted_norm(one / sizes[0] - other / sizes[1], self.surface.areas)
+        return weighted_norm(one / sizes[0] - other / sizes[1], self.scene.surface.areas)
 
     @cached_property
     def bar(self) -> float:
@@ -195,7 +189,7 @@ class Place:
         scene = dataclasses.replace(level_scene(self.study, hierarchy), load_factors=np.ones(1))
         fine = restricted(run_model(scene, "fem-linear"), hierarchy)
         coarse = self.answer("fem-linear", (1.0,))
-        difference = relative_l2(coarse.displacement[-1], fine.displacement[-1], self.surface.areas)
+        difference = relative_l2(coarse.displacement[-1], fine.displacement[-1], self.scene.surface.areas)
         return estimate_error([difference]).gci
 
 
@@ -271,7 +265,7 @@ def complexity(place: Place) -> Iterator[Point]:
         yield Point(f"exponents over 1/h, less: {quantity}", slopes[1] - slopes[0])
     # elements on the coarser mesh are as close as the printed model on the finer one, or are not
     u, r = (fine.answer(name, (1.0,)).displacement[-1] for name in ("vdm-paper", "fem-linear"))
-    off = relative_l2(u, r, fine.surface.areas)
+    off = relative_l2(u, r, fine.scene.surface.areas)
     alike = own if place.bar <= off else finer
     for row, quantity in (("unknowns", "unknowns"), ("frame", "frame, all nodes")):
         yield Point(f"at equal error, {row}", alike[quantity][1] / finer[quantity][0])
@@ -362,7 +356,7 @@ def anisotropy(place: Place) -> Iterator[Point]:
     """7: change of the ratio of mean strains by fibres, over that of the reference's change."""
     mesh = place.scene.mesh
     surface, plain_rule = SurfaceMesh(mesh.surface_points, mesh.triangles), _rule_of(place.scene)
-    gradient = place.surface.volume_gradient
+    gradient = place.scene.surface.volume_gradient
     load = place.scene.load(0.01)
 
     def strains(displacement: Array) -> Array:
@@ -420,11 +414,11 @@ def stability(place: Place) -> Iterator[Point]:
     for ratio in RATIOS:
         given = {"bulk_modulus": ratio * bulk, "connectivity_modulus": edge}
         size = np.abs(place.answer("vdm-paper", (1.0,), given).displacement).max()
-        factor = TINY * place.surface.smallest_extent / size
+        factor = TINY * place.scene.surface.smallest_extent / size
         direct = place.answer("vdm-paper", (factor,), given).displacement[-1]
         for solver in solvers:
             found = place.answer(f"vdm-paper:{solver}", (factor,), given)
-            off = relative_l2(found.displacement[-1], direct, place.surface.areas)
+            off = relative_l2(found.displacement[-1], direct, place.scene.surface.areas)
             value = off if found.status[-1].ok else math.nan
             yield Point(solver, value, model=f"vdm-paper:{solver}", setting=f"ratio = {ratio:g}")
 
@@ -502,8 +496,8 @@ def conceded(place: Place) -> Iterator[Point]:
     }
     for row, multiples in fitted.items():
         (u,) = by_rule.answers(multiples, [place.scene])
-        (r,) = along(true[None], place.surface.normals)
-        yield Point(row, relative_l2(u[:, None], r, place.surface.areas), place.bar)
+        (r,) = along(true[None], place.scene.surface.normals)
+        yield Point(row, relative_l2(u[:, None], r, place.scene.surface.areas), place.bar)
 
 
 class Patches:
@@ -517,7 +511,7 @@ class Patches:
             away = np.linalg.norm(points[:, None] - np.array(centres), axis=2).min(axis=1)
             upper = free & (points[:, 2] > np.median(points[:, 2]))
             centres.append(points[np.where(upper, away, -1.0).argmax()])
-        middles, width = points[mesh.triangles].mean(axis=1), 0.25 * place.surface.smallest_extent
+        middles, width = points[mesh.triangles].mean(axis=1), 0.25 * place.scene.surface.smallest_extent
         loose = free[mesh.triangles].all(axis=1)
         self.scenes = []
         for centre in centres[1:]:
@@ -536,13 +530,13 @@ class Patches:
         moduli = dataclasses.replace(rest, bulk_modulus=bulk, connectivity_modulus=edge)
         solver = _printed(self.place.scene, moduli).solver
         fields = [solver.step(Load(scene.contact_pressure)).displacement for scene in scenes]
-        return along(np.array(fields), self.place.surface.normals)[..., 0]
+        return along(np.array(fields), self.place.scene.surface.normals)[..., 0]
 
     def fitted(self, count: int) -> Array:
         """(2,) multiples with the least squared normal error on the patches; of B alone where `count` is 1."""
         true = np.array([run_model(scene, "fem-linear").displacement[-1] for scene in self.scenes])
-        weights = np.sqrt(self.place.surface.areas)
-        wanted = weights * along(true, self.place.surface.normals)[..., 0]
+        weights = np.sqrt(self.place.scene.surface.areas)
+        wanted = weights * along(true, self.place.scene.surface.normals)[..., 0]
         sizes = np.linalg.norm(wanted, axis=1, keepdims=True)
 
         def both(multiples: Array) -> Array:

@@ -25,7 +25,7 @@ from .measures.frame import at_full_load
 from .measures.metrics import METRICS, Sense, measurement_error
 from .measures.uncertainty import SIGNED
 from .store.plain import StoreError, typed
-from .study.kinds import safe_name
+from .study.kinds import Enters, safe_name
 from .verdict.acceptance import WORDS
 from .verdict.digest import digest_of
 from .verdict.verdict import verdicts
@@ -41,13 +41,6 @@ MEASURED = measurement_error.__name__
 ONLY_CASE = "the only case"  # what the case of a study without a sweep is called
 VERDICT = "verdict"  # in place of a metric, of a family in place of a model
 OWN = "own error: "  # before the name of a metric in which the reference's own error was measured
-_NOT_ASKED = (
-    "study",
-    "sweep",
-    "calibration",
-    "acceptance",
-    "inputs",
-)  # tables that decide no number of a case
 _SHOWN = 3  # changed inputs that are named
 
 WORSE, BETTER, SAME = "worse", "better", "unchanged"
@@ -146,26 +139,19 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
             values[case][model][metric] = _rounded(value)
     asked = {case.hash: asked_of(case) for case in run.cases}
     common = next(iter(asked.values()), {})
-    measures, versions = {}, {}
     for case in run.cases:
-        for name, result in case.models.items():
-            versions[name] = result.version
-            for metric, series in case.metrics.get(name, {}).items():
-                measures[metric] = Measure(unit=series.unit, version=series.version)
         if case.reference is not None and case.reached == case.full_load:
             for key, value in sorted(case.reference_error.items()):
                 metric = key.removeprefix("gci:")
                 if metric != key and metric in METRICS:
                     values[case.hash][case.reference][OWN + metric] = _rounded(value)
-                    own = METRICS[metric]
-                    measures.setdefault(metric, Measure(unit=own.unit, version=own.version))
     return Baseline(
         study=run.study.study.name,
         reason=reason,
         date=datetime.now(UTC).date().isoformat(),
         inputs=common,
-        models=versions,
-        metrics=measures,
+        models={name: result.version for case in run.cases for name, result in case.models.items()},
+        metrics={name: Measure(unit=one.unit, version=one.version) for name, one in METRICS.items()},
         acceptance=run.study.acceptance.model_dump(mode="json"),
         verdicts={one.family: one.word for one in verdicts(digest).asked},
         cases={
@@ -181,8 +167,8 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
 
 def asked_of(case: CaseResult) -> dict[str, Any]:
     """What decides a case's numbers, by key, without names, lists and defaults; a file by its own name."""
-    tables = case.study.model_dump(mode="json", exclude_defaults=True)
-    found = dict(_leaves({key: table for key, table in tables.items() if key not in _NOT_ASKED}))
+    given = case.study.model_dump(mode="json", exclude_defaults=True, exclude={"study", "inputs"})
+    found = dict(_leaves(case.study.without(given, Enters.NOTHING)))
     if "geometry.path" in found:
         found["geometry.path"] = Path(found["geometry.path"]).name
     return found
@@ -275,8 +261,8 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
     Raises
     ------
     BaselineError
-        no reason, cases that failed or are missing, metrics of another version, nothing to accept, or a file in the
-        baseline's place that is none.
+        no reason, cases that failed or are missing, nothing to accept, or a file in the baseline's place that is
+        none.
     OSError
         disk full or read-only.
     """
@@ -291,10 +277,6 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
         )
     if path.exists() and _loaded(path) is None:
         raise BaselineError(f"{path}: is no baseline and stays as it is; name another file, or delete it")
-    measured = (series for case in run.cases for found in case.metrics.values() for series in found.items())
-    for name, series in measured:
-        if name not in METRICS or METRICS[name].version != series.version:
-            raise BaselineError(f"{name} is of another version in this run: run the study again, then accept")
     baseline = baseline_of(run, reason.strip())
     write_atomically(path, json_text(baseline, indent=1).encode() + b"\n")
     return baseline

@@ -237,11 +237,11 @@ DRAWING = {"pyvista", "vtkmodules", "pyacvd", "matplotlib"}
 PLAN = """\
 import pathlib, tempfile
 import vdmbench.work.run, vdmbench.work.plan, vdmbench.report.page
-from vdmbench.study.config import expand, load_study
+from vdmbench.study.config import load_study
 study = load_study(pathlib.Path('studies/cases/quickstart.toml'))
 with tempfile.TemporaryDirectory() as name:
     where = pathlib.Path(name)
-    plan = vdmbench.work.plan.make_plan(study, expand(study), where, where)
+    plan = vdmbench.work.plan.make_plan(study, where, where)
     assert vdmbench.work.run.summary(plan)"""
 
 

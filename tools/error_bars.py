@@ -28,7 +28,6 @@ from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.registry import REFINED
 from vdmbench.verdict.formatting import percent
-from vdmbench.work.case import loaded_surface
 
 FOUND = ROOT / "results" / "error-bars.json"
 ROUNDING = 1e-9  # a distance up to this, of a number with a unit times the number, is the solver's tolerance
@@ -59,7 +58,7 @@ def tried(study: str, number: int) -> dict[str, Any]:
         runs += ran_text(tomli_w.dumps(given), f"error-bars/{study}-{number}-{levels}").cases
     found = runs[0]
     reference = str(case.study.reference)
-    surface = loaded_surface(build_scene(case, build_mesh(case.geometry)))
+    surface = build_scene(case, build_mesh(case.geometry)).surface
     levels_of = [found.models[reference], *(one.models[reference + REFINED] for one in runs)]
     order, best = extrapolated(surface, levels_of, found)
     histories = {
@@ -73,7 +72,7 @@ def tried(study: str, number: int) -> dict[str, Any]:
             if metric in estimates[model]:
                 at = found.full_load
                 numbers = (
-                    float(series.values[at]),
+                    float(series[at]),
                     value_bar(found, model, metric),
                     float(estimates[model][metric][at]),
                 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -212,10 +212,3 @@ class Surface:
     def volume(self) -> float:
         """Enclosed volume [m^3]."""
         return enclosed_volume(self.points, self.triangles)
-
-    def under(self, contact: Mask, contact_force: Array, *, weighs: bool = False) -> Surface:
-        """The same surface under other loads; what is measured of it is measured once."""
-        other = replace(self, contact=contact, contact_force=contact_force, weighs=weighs)
-        for name in ("areas", "volume_gradient", "normals", "rigid_motions", "volume"):
-            other.__dict__[name] = getattr(self, name)
-        return other

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..machine import cache_directory, results_directory, usable_processors
+from ..machine import results_directory, usable_processors
 from ..study.errors import InputError
 from .output import OK, complain, tell
 
@@ -54,16 +54,13 @@ def plan_of(options: argparse.Namespace) -> Plan:
 def make_plan(
     study: Study, options: argparse.Namespace, *, directory: Path | None = None, command: tuple[str, ...] = ()
 ) -> Plan:
-    """The plan of all cases of a study; in --out or results/runs/NAME by default."""
-    from ..study.config import expand
+    """The plan of a study, of the directories that a command line names."""
     from ..work import plan as graph_plan
 
     given = vars(options)
-    directory = directory or given.get("out") or results_directory() / "runs" / study.study.name
-    cache = given.get("cache") or cache_directory()
+    directory, fresh = directory or given.get("out"), given.get("fresh", False)
     command = command or command_of("run", options)
-    fresh = given.get("fresh", False)
-    return graph_plan.make_plan(study, expand(study), directory, cache, command, fresh=fresh)
+    return graph_plan.make_plan(study, directory, given.get("cache"), command, fresh=fresh)
 
 
 def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:

@@ -21,16 +21,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class MetricSeries:
-    """One metric of one model over S steps."""
-
-    values: Array  # (S,)
-    unit: str  # "1" where it has none
-    definition: str
-    version: int
-
-
-@dataclass(frozen=True)
 class Limit:
     """Where along a load path a model's error has grown by a threshold; see `vdmbench.measures.limits`."""
 
@@ -71,7 +61,7 @@ class CaseResult:
     load_factors: Array  # (S,)
     regions: Mapping[str, NDArray[np.bool_]]  # (N,) masks
     models: Mapping[str, ModelResult]
-    metrics: Mapping[str, Mapping[str, MetricSeries]]  # model -> metric; empty where there is no reference
+    metrics: Mapping[str, Mapping[str, Array]]  # model -> name in `METRICS` -> (S,); none without a reference
     reference: str | None  # a key of `models`
     reference_error: Mapping[str, float] = field(default_factory=dict)
     # error of the reference itself, see vdmbench.measures.reference.own_error; empty where not measured

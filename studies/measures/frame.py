@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 def series(case: CaseResult, model: str, metric: str) -> Array | None:
     """(S,) values of a metric, None where the case has none."""
-    entry = case.metrics.get(model, {}).get(metric)
-    return None if entry is None else entry.values
+    return case.metrics.get(model, {}).get(metric)
 
 
 def where_reached(case: CaseResult, model: str, metric: str) -> float:
@@ -97,9 +96,9 @@ def frame(run: Run) -> DataFrame:
             known = case.reference_error and n_steps  # without levels no bar is
             at = (case.full_load, case.reached) if n_steps else (0, 0)
             for metric, one in measured.items():
-                bar = value_bar(case, name, metric) if metric in METRICS and known else np.nan
-                series.append((len(about), metric, one.unit, bar, *at))
-                values.append(one.values)
+                bar = value_bar(case, name, metric) if known else np.nan
+                series.append((len(about), metric, METRICS[metric].unit, bar, *at))
+                values.append(one)
             for cost, unit in COSTS.items():
                 series.append((len(about), cost, unit, np.nan, *at))
                 values.append(np.broadcast_to(getattr(result, cost), n_steps))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from ..measures.case import CaseResult, Limit, ModelLimits
 from ..measures.frame import where_reached
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
-from ..measures.metrics import VECTOR
+from ..measures.metrics import METRICS, VECTOR
 from ..study.checks import only_load
 from ..study.registry import Family
 from ..verdict.digest import DRIFT, Digest, failed_steps
@@ -110,21 +110,18 @@ def _load(limit: Limit, load: float, unit: str) -> Cell:
 
 def all_measures(digest: Digest) -> Section | None:
     """Every metric of every compared model at full load, defined, and what the reference has of its own."""
-    found = {
-        name: entry
-        for case in digest.cases
-        for model in digest.compared
-        for name, entry in case.metrics.get(model, {}).items()
-    }
+    found = dict.fromkeys(
+        name for case in digest.cases for model in digest.compared for name in case.metrics.get(model, {})
+    )
     rows = [name for name in found if name != DRIFT and any(digest.spread(m, name) for m in digest.models)]
     if not rows:
         return None
 
     def of(model: str) -> Any:
-        return lambda name: spread_cell(digest.spread(model, name), found[name].unit)
+        return lambda name: spread_cell(digest.spread(model, name), METRICS[name].unit)
 
     fields = [
-        Field("Measure", lambda name: Cell(_measure_name(name), found[name].definition)),
+        Field("Measure", lambda name: Cell(_measure_name(name), METRICS[name].definition)),
         *(Field(model, of(model), "#", "median") for model in digest.compared),
         Field(str(digest.reference), of(str(digest.reference)), "#", "reference"),
     ]

@@ -12,7 +12,7 @@ from solver_common.arrays import Array, Index, Mask
 from solver_common.quadrature import facet_quadrature
 
 from ..body.mesh import Mesh, read_only
-from ..body.surface_measures import corner_sum, facet_area_vectors, facet_areas, nodal_sum
+from ..body.surface_measures import Surface, corner_sum, facet_area_vectors, facet_areas, nodal_sum
 from ..study.loads import Acts, Springs
 from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
@@ -183,6 +183,12 @@ class Scene:
     def contact(self) -> Mask:
         """(N,) nodes that carry contact pressure."""
         return self.contact_pressure != 0.0
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The surface at rest, with its measures, under these loads."""
+        points, weighs = self.mesh.surface_points, bool(self.gravity.any())
+        return Surface(points, self.mesh.triangles, self.contact, self.contact_force, weighs)
 
 
 def build_scene(

@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..machine import json_text, plain, write_atomically
 from ..measures import uncertainty
-from ..measures.case import DAMAGED, CaseResult, MetricSeries, Run
+from ..measures.case import DAMAGED, CaseResult, Run
 from ..measures.frame import COLUMNS, COSTS
 from ..measures.metrics import METRICS
 from ..scene.result import FrameTimes, ModelResult
@@ -68,19 +68,12 @@ def write_case(path: Path, case: CaseResult) -> None:
         raise ValueError(f"has {size} bytes of results, more than a case file holds; use fewer load steps")
     about = {
         "schema": SCHEMA,
-        "versions": _metric_versions(),
+        "definitions": _definitions(),
         **plain(case, without=_NOT_TOLD),
         "models": {
             name: plain(model, without=(*_FIELDS, PART, "frames")) for name, model in case.models.items()
         },
-        "metrics": {
-            name: {key: one.values for key, one in found.items()} for name, found in case.metrics.items()
-        },
-        "definitions": {
-            key: plain(one, without=("values",))
-            for found in case.metrics.values()
-            for key, one in found.items()
-        },
+        "metrics": case.metrics,
     }
     own = (_POINTS, _CONNECTIVITY, _DATA)
     image, place = hdf5_image(
@@ -172,7 +165,7 @@ def read_case(
 
 
 def _content(path: Path) -> tuple[bytes, dict[str, Any]]:
-    """The bytes of a sound case file of this schema, and its text. Raises StoreError."""
+    """The bytes of a sound case file of this schema and of these metrics, and its text. Raises StoreError."""
     try:
         data = path.read_bytes()
     except (FileNotFoundError, NotADirectoryError):
@@ -189,7 +182,7 @@ def _content(path: Path) -> tuple[bytes, dict[str, Any]]:
         about, schema = {}, 0
     if schema > SCHEMA:
         raise StoreError(f"{path}: schema {schema} is newer than this program's {SCHEMA}; update vdmbench")
-    if schema < SCHEMA:
+    if schema < SCHEMA or about.get("definitions") != _definitions():
         raise OlderSchemaError(f"{path}: made by an older version of the program; run again")
     return content, about
 
@@ -213,11 +206,6 @@ def _case(
         )
         for name, one in about["models"].items()
     }
-    defined = {key: _definition(tuple(one.items())) for key, one in about["definitions"].items()}
-    metrics = {
-        name: {key: MetricSeries(np.array(one, dtype=float), *defined[key]) for key, one in found.items()}
-        for name, found in about["metrics"].items()
-    }
     region = f"{_DATA}region."
     return typed(
         CaseResult,
@@ -232,15 +220,11 @@ def _case(
         },
         moved=array(f"{_DATA}{MOVED}"),
         models=models,
-        metrics=metrics,
+        metrics={
+            name: {key: np.array(found[key], dtype=float) for key in METRICS if key in found}
+            for name, found in about["metrics"].items()
+        },
     )
-
-
-@lru_cache
-def _definition(about: tuple[tuple[str, Any], ...]) -> tuple[str, str, int]:
-    """Unit, definition and version of a metric, alike in most cases of a run."""
-    one = typed(MetricSeries, dict(about), values=np.zeros(0))
-    return one.unit, one.definition, one.version
 
 
 # --- a run directory ---
@@ -313,9 +297,9 @@ def told_run(directory: Path) -> Run | None:
 
 
 def case_state(directory: Path, case_hash: str, label: str = "") -> str:
-    """ "done", "stale" (done, but by other versions of the metrics), "damaged", "failed" or "missing".
+    """ "done", "damaged", "failed" or "missing".
 
-    A file of an older schema counts as missing: the next run writes it anew.
+    A file of an older version counts as missing: the next run writes it anew.
     """
     path = case_path(directory, case_hash, label)
     if os.path.lexists(path):
@@ -325,14 +309,15 @@ def case_state(directory: Path, case_hash: str, label: str = "") -> str:
             return "missing"
         except StoreError:
             return "damaged"
-        if about.get("hash") != case_hash:
-            return "damaged"
-        return "done" if about.get("versions") == _metric_versions() else "stale"
+        return "done" if about.get("hash") == case_hash else "damaged"
     return "failed" if has_failed(directory, case_hash, label) else "missing"
 
 
-def _metric_versions() -> dict[str, int]:
-    return {name: metric.version for name, metric in METRICS.items()} | {"error bars": uncertainty.VERSION}
+def _definitions() -> dict[str, dict[str, Any]]:
+    """What every metric is, and by which rules bars are made."""
+    told = ("unit", "definition", "version")
+    found = {name: {key: getattr(metric, key) for key in told} for name, metric in METRICS.items()}
+    return found | {"error bars": {"version": uncertainty.VERSION}}
 
 
 # --- the metrics of a run ---

@@ -6,6 +6,7 @@ import dataclasses
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import cache
 from typing import Any, TypeVar, cast
 
@@ -15,7 +16,8 @@ from pydantic import BaseModel
 from ..study.schema import Study
 
 T = TypeVar("T")
-Reader = Callable[[Any], Any]
+Place = tuple[str | int, ...]  # of a value, from the outside in
+Reader = Callable[[Any, Place], Any]
 
 
 class StoreError(ValueError):
@@ -24,17 +26,6 @@ class StoreError(ValueError):
 
 class OlderSchemaError(StoreError):
     """A stored result of an older version of the program, sound for that one."""
-
-
-class MisfitError(ValueError):
-    """Data of another shape: where, from the inside out, and what should be there."""
-
-    def __init__(self, wanted: str) -> None:
-        super().__init__(wanted)
-        self.wanted, self.place = wanted, list[str]()
-
-    def __str__(self) -> str:
-        return f"{'.'.join(self.place[::-1])!r} is not {self.wanted}"
 
 
 def typed(kind: type[T], value: Any, **given: Any) -> T:
@@ -50,23 +41,19 @@ def typed(kind: type[T], value: Any, **given: Any) -> T:
         of another shape; one line says where.
     """
     if dataclasses.is_dataclass(kind):
-        return cast(T, _fields(kind, value, given))
-    return cast(T, _reader(cast(Any, kind))(value))
+        return cast(T, _fields(kind, value, (), given))
+    return cast(T, _reader(cast(Any, kind))(value, ()))
 
 
-def _fields(kind: type, value: Any, given: dict[str, Any]) -> Any:
-    _as(isinstance(value, dict), "a table")
+def _fields(kind: type, value: Any, place: Place, given: dict[str, Any]) -> Any:
+    _as(isinstance(value, dict), "a table", place)
     for name, read, needed in _parts(kind):
         if name in given:
             continue
-        try:
-            if name in value:
-                given[name] = read(value[name])
-            else:
-                _as(not needed, "there")
-        except MisfitError as error:
-            error.place.append(name)
-            raise
+        if name in value:
+            given[name] = read(value[name], (*place, name))
+        else:
+            _as(not needed, "there", (*place, name))
     return kind(**given)
 
 
@@ -92,57 +79,57 @@ def _reader(kind: Any) -> Reader:
     if origin is float:
         return _number
     if origin in (str, int, bool):
-        return lambda value: _as(type(value) is origin, f"of type {origin.__name__}", value)
+        wanted = f"of type {origin.__name__}"
+        return lambda value, place: _as(type(value) is origin, wanted, place, value)
     if origin in (Mapping, dict):
-        return _each(dict, "a table", _reader(parts[1]))
+        read = _reader(parts[1])
+        return lambda value, place: {
+            key: read(entry, (*place, key)) for key, entry in _as_table(value, place).items()
+        }
     if origin is np.ndarray:  # in which a number that is null is NaN
         number = typing.get_args(parts[1])[0]
-        return lambda value: np.array(_as(isinstance(value, list), "a list", value), dtype=number)
-    if origin in (Sequence, tuple):
-        read = _each(list, "a list", _reader(parts[0]))  # of one type, however many
-        return (lambda value: tuple(read(value))) if origin is tuple else read
+        return lambda value, place: np.array(_as_list(value, place), dtype=number)
+    if origin in (Sequence, tuple):  # of one type, however many
+        read, kept = _reader(parts[0]), tuple if origin is tuple else list
+        return lambda value, place: kept(
+            read(entry, (*place, k)) for k, entry in enumerate(_as_list(value, place))
+        )
     if dataclasses.is_dataclass(kind):
-        return lambda value: _fields(origin, value, {})
-    return origin.model_validate if issubclass(origin, BaseModel) else lambda value: value
+        return lambda value, place: _fields(origin, value, place, {})
+    if issubclass(origin, BaseModel):
+        return lambda value, _: origin.model_validate(value)
+    return lambda value, _: value
 
 
-def _number(value: Any) -> float:
-    _as(value is None or type(value) in (int, float), "a number")
+def _number(value: Any, place: Place) -> float:
+    _as(value is None or type(value) in (int, float), "a number", place)
     return np.nan if value is None else float(value)
 
 
 def _any_of(optional: bool, readers: Sequence[Reader]) -> Reader:
-    def read(value: Any) -> Any:
+    *first, last = readers
+
+    def read(value: Any, place: Place) -> Any:
         if value is None and optional:
             return None
-        for k, one in enumerate(readers):
-            try:
-                return one(value)
-            except ValueError:
-                if k + 1 == len(readers):
-                    raise
-        return None
+        for one in first:
+            with suppress(ValueError):
+                return one(value, place)
+        return last(value, place)
 
     return read
 
 
-def _each(container: type, wanted: str, read_one: Reader) -> Reader:
-    def read(value: Any) -> Any:
-        _as(isinstance(value, container), wanted)
-        found = {}
-        for key, entry in value.items() if container is dict else enumerate(value):
-            try:
-                found[key] = read_one(entry)
-            except MisfitError as error:
-                error.place.append(str(key))
-                raise
-        return found if container is dict else list(found.values())
-
-    return read
+def _as_table(value: Any, place: Place) -> Any:
+    return _as(isinstance(value, dict), "a table", place, value)
 
 
-def _as(right: bool, wanted: str, value: Any = None) -> Any:
-    """The value, where it is right. Raises MisfitError."""
+def _as_list(value: Any, place: Place) -> Any:
+    return _as(isinstance(value, list), "a list", place, value)
+
+
+def _as(right: bool, wanted: str, place: Place, value: Any = None) -> Any:
+    """The value, where it is right. Raises ValueError."""
     if not right:
-        raise MisfitError(wanted)
+        raise ValueError(f"{'.'.join(map(str, place))!r} is not {wanted}")
     return value

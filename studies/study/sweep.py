@@ -15,7 +15,7 @@ from .checks import validate
 from .errors import MOST_TOLD, Finding, InputError, Loc, Source, unknown, value_at
 from .fields import NEVER_AN_INPUT, Target, targets
 from .files import without_folders
-from .kinds import Table
+from .kinds import Enters, Table
 from .schema import Known, Range, Study, Sweep
 from .units import shown, to_si, type_name
 
@@ -407,17 +407,14 @@ def _input(data: Mapping[str, Any], key: str, loc: Loc, entry: Any, known: Mappi
 # --- The studies with other values of the inputs that tell what comes of not knowing them ---
 
 
-# what no variation has: it decides nothing of an answer, or would begin anew
-_NOT_VARIED = ("inputs", "sweep", "measured", "limits", "calibration")
-
-
 def variations(study: Study) -> tuple[list[ResolvedCase], list[Finding]]:
     """The study with each input at both its ends in turn, or the first thing that is wrong with that."""
     if study.inputs is None:
         return [], []
     data = study.model_dump()
     inputs, findings = read_inputs(data)
-    rest = {key: value for key, value in data.items() if key not in _NOT_VARIED}
+    # of an answer the other tables decide nothing
+    rest = {key: table for key, table in data.items() if Enters.of(Study.model_fields[key]) is None}
     found: list[ResolvedCase] = []
     for one, value in [(known, end) for known in inputs for end in known.ends if not findings]:
         other, faults = validate(substituted(rest, one.loc, value), study._source)

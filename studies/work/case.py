@@ -14,9 +14,9 @@ from solver_common.arrays import Array
 
 from ..body.refine import Hierarchy
 from ..body.surface_measures import Surface
-from ..measures.case import CaseResult, MetricSeries
+from ..measures.case import CaseResult
 from ..measures.measurement import Measurement, hold_against, input_spread, step_rms
-from ..measures.metrics import METRICS, History, evaluate_all, full_load_step
+from ..measures.metrics import History, evaluate_all, full_load_step
 from ..measures.pushed import Answer
 from ..measures.reference import own_error
 from ..models import find
@@ -58,7 +58,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
     case = typed(PlannedCase, payload["case"])
     study, mesh = case.study, meshes(0).finest
     scene = build_scene(study, mesh)
-    surface = loaded_surface(scene)
+    surface = scene.surface
     stored = partial(_stored, Path(payload["cache"]))
     found = [(want, _result(want, scene, stored)) for want in case.wanted]
     coarse = reference = study.study.reference
@@ -124,12 +124,6 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
     )
 
 
-def loaded_surface(scene: Scene) -> Surface:
-    """The surface of a scene's mesh under its loads."""
-    surface = Surface(points=scene.mesh.surface_points, triangles=scene.mesh.triangles)
-    return surface.under(scene.contact, scene.contact_force, weighs=bool(scene.gravity.any()))
-
-
 def _result(wanted: Wanted, scene: Scene, stored: Stored) -> ModelResult:
     answers = [stored(key) for key in wanted.answers]
     if not wanted.scales:
@@ -154,7 +148,7 @@ def compare(
     load_factors: Array,
     reference: str | None,
     measurement: Measurement | None = None,
-) -> dict[str, dict[str, MetricSeries]]:
+) -> dict[str, dict[str, Array]]:
     """Every metric of every model; the reference itself gets those that need no comparison."""
     histories = {
         name: History(
@@ -166,12 +160,4 @@ def compare(
         )
         for name, result in results.items()
     }
-    return {
-        name: {
-            metric: MetricSeries(
-                values, METRICS[metric].unit, METRICS[metric].definition, METRICS[metric].version
-            )
-            for metric, values in series.items()
-        }
-        for name, series in evaluate_all(surface, histories, reference).items()
-    }
+    return evaluate_all(surface, histories, reference)

@@ -15,7 +15,7 @@ from ..measures.pushed import Answer
 from ..scene.result import ModelResult, unanswered
 from ..scene.scene import build_scene
 from ..study.schema import Study
-from .case import compare, loaded_surface
+from .case import compare
 
 NO_STEP = Status("not-given", "the file holds the largest load only", "")
 
@@ -32,7 +32,6 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
     (case,) = run.cases
     result = _as_result(case, mesh, foreign)
     scene = build_scene(study, mesh)
-    surface = loaded_surface(scene)
     results = {name: result}
     if case.reference is not None:
         results[case.reference] = case.models[case.reference]
@@ -44,9 +43,9 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
             simulated={name: own.simulated[name], **measurement.simulated},
             numerical={name: own.numerical[name], **measurement.numerical},
         )
-    metrics = compare(surface, results, scene.load_factors, case.reference)[name]
+    metrics = compare(scene.surface, results, scene.load_factors, case.reference)[name]
     if own is not None:  # the reference has been held against it already
-        metrics = compare(surface, {name: result}, scene.load_factors, None, own)[name] | metrics
+        metrics = compare(scene.surface, {name: result}, scene.load_factors, None, own)[name] | metrics
     with_it = dataclasses.replace(
         case,
         models={name: result, **case.models},

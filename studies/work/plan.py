@@ -10,8 +10,8 @@ from typing import Any
 
 from .. import models
 from ..body.mesh_cache import mesh_path, read_mesh
-from ..machine import is_sound, plain
-from ..study.config import ResolvedCase, geometry_error, resolved
+from ..machine import cache_directory, is_sound, plain, results_directory
+from ..study.config import ResolvedCase, expand, geometry_error, resolved
 from ..study.errors import MeshError
 from ..study.registry import Size
 from ..study.schema import Study
@@ -42,9 +42,8 @@ class PlannedCase(ResolvedCase):
 
     @cached_property
     def wanted(self) -> tuple[Wanted, ...]:
-        """What it takes of every model, and of the reference on every level; a variation on its own mesh alone."""
-        found = wanted(self.study, self.mesh)
-        return tuple(want for want in found if want.level == 0 or not self.values)
+        """What it takes of every model, and of the reference on every level."""
+        return tuple(wanted(self.study, self.mesh))
 
     @cached_property
     def variations(self) -> tuple[PlannedCase, ...]:
@@ -129,7 +128,7 @@ class Plan:
 
     @cached_property
     def state(self) -> dict[str, str]:
-        """Case hash -> "done", "stale", "failed", "damaged" or "missing"."""
+        """Case hash -> "done", "failed", "damaged" or "missing"."""
         from ..store.cases import case_state  # HDF5 is slow to load, and a check asks for no results
 
         return {case.hash: case_state(self.directory, case.hash, case.label) for case in self.cases}
@@ -176,23 +175,24 @@ class Plan:
 
 def make_plan(
     study: Study,
-    cases: Sequence[ResolvedCase],
-    directory: Path,
-    cache: Path,
+    directory: Path | None = None,
+    cache: Path | None = None,
     command: tuple[str, ...] = (),
     *,
     fresh: bool = False,
 ) -> Plan:
-    """Work out what a study needs. Meshes nothing.
+    """Work out what all cases of a study need, in results/runs/NAME by default. Meshes nothing.
 
     Raises
     ------
     StudyError
         a geometry that cannot be meshed as asked, found without meshing.
     """
+    directory = directory or results_directory() / "runs" / study.study.name
+    cache = cache or cache_directory()
     found: dict[str, PlannedMesh] = {}  # by what is asked for: a file is read for its key, once for all cases
     planned = []
-    for case in cases:
+    for case in expand(study):
         geometry, volume = case.study.geometry, needs_volume(case.study)
         asked = f"{geometry!r} {volume}"
         if asked not in found:

@@ -13,7 +13,7 @@ from solver_common.arrays import Array
 from .. import models
 from ..body.mesh import Mesh
 from ..body.refine import Hierarchy, refined
-from ..body.surface_measures import Surface, relative_l2
+from ..body.surface_measures import relative_l2
 from ..measures.case import ModelLimits
 from ..measures.limits import SMALL, LoadPath, LoadPoint, model_limits, on_finer_mesh
 from ..measures.metrics import mean_indentation
@@ -52,12 +52,11 @@ class _Evaluator:
     """Runs the reference of one case at a factor of its loads, on the finest mesh, and the other models."""
 
     def __init__(self, study: Study, meshes: Hierarchy, reference: str) -> None:
-        coarsest = meshes.meshes[0]
         self._reference = reference
-        self._own = build_scene(study, coarsest)
+        self._own = build_scene(study, meshes.meshes[0])
         self._inside = level_scene(study, meshes) if meshes.parents else self._own
         self._set_up: dict[str, models.Prepared] = {}
-        self._areas = Surface(coarsest.surface_points, coarsest.triangles).areas
+        self._areas = self._own.surface.areas
 
     def __call__(self, factor: float) -> LoadPoint | None:
         """Every model at one load, volumetric ones on the finest mesh; None where the reference has no solution."""
@@ -65,12 +64,9 @@ class _Evaluator:
         reference = self._answer(inside, self._reference)
         if not _solved(reference):
             return None
-        surface = Surface(
-            inside.mesh.surface_points, inside.mesh.triangles, inside.contact, inside.contact_force
-        )
         return LoadPoint(
             _Errors(partial(self._error, own, inside, reference.displacement[-1])),
-            float(mean_indentation(surface, reference.displacement[-1:])[0]),
+            float(mean_indentation(inside.surface, reference.displacement[-1:])[0]),
             *(float(reference.scalars.get(name, [math.nan])[-1]) for name in (STRAIN, LARGEST_STRAIN)),
         )
 

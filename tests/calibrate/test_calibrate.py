@@ -132,7 +132,7 @@ def finished(text: str, directory: Path) -> tuple[Run, Plan]:
     """A study's run and plan, all its cases done here."""
     (directory / "study.toml").write_text(text)
     study = load_study(directory / "study.toml")
-    plan = make_plan(study, expand(study), directory / "run", directory / "cache")
+    plan = make_plan(study, directory / "run", directory / "cache")
     do_cases(plan)
     cases = [read_case(plan.case_file(case)) for case in plan.cases]
     return Run(study, "", cases, [], [], {}), plan
@@ -334,8 +334,8 @@ def loss(trial: Trial, multiples: np.ndarray) -> float:
     return float(
         np.mean(
             [
-                (s.surface.areas @ ((u - s.reference) ** 2).sum(axis=1))
-                / (s.surface.areas @ (s.reference**2).sum(axis=1))
+                (s.scene.surface.areas @ ((u - s.reference) ** 2).sum(axis=1))
+                / (s.scene.surface.areas @ (s.reference**2).sum(axis=1))
                 for s, u in zip(trial.samples, trial.answers(multiples), strict=True)
             ]
         )

@@ -19,7 +19,6 @@ from vdmbench.measures import metrics
 from vdmbench.measures.metrics import METRICS, History, evaluate, evaluate_all
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.schema import Study
-from vdmbench.work.case import loaded_surface
 
 # round-off of sums over a few hundred terms of order one
 ROUND = {"rtol": 1e-12, "atol": 1e-14}
@@ -205,7 +204,7 @@ def test_indentation_force_of_a_body_with_a_weight(surface: Surface, factors: li
     """By hand: it sags by 0.5 without load, and needs f for a depth of 0.5 + f where the model has 0.3 + 2 f."""
     push = np.zeros((6, 3))
     push[4, 2] = -0.01
-    loaded = surface.under(surface.contact, 20.0 * push, weighs=True)
+    loaded = dataclasses.replace(surface, contact_force=20.0 * push, weighs=True)
     reference, soft = (
         history(*[(sag + size * factor) * push for factor in factors], factors=factors)
         for sag, size in ((0.5, 1.0), (0.3, 2.0))
@@ -229,7 +228,7 @@ def test_of_the_constant_loads_only_a_weight_moves_a_body(gravity: float, enviro
         }
     )
     scene = build_scene(study, build_mesh(study.geometry, volume=False))
-    assert loaded_surface(scene).weighs == (gravity != 0.0)
+    assert scene.surface.weighs == (gravity != 0.0)
 
 
 def test_mean_strain_is_that_of_the_body(surface: Surface) -> None:
@@ -258,9 +257,11 @@ def test_metrics_grow_with_their_degree(share: float) -> None:
         )
         for name, m in first.items()
     }
-    loaded = surface.under(surface.contact, np.where(surface.contact[:, None], -surface.normals, 0.0))
+    loaded = dataclasses.replace(
+        surface, contact_force=np.where(surface.contact[:, None], -surface.normals, 0.0)
+    )
     found = evaluate_all(loaded, first, "r")
-    grown = evaluate_all(loaded.under(loaded.contact, share * loaded.contact_force), more, "r")
+    grown = evaluate_all(dataclasses.replace(loaded, contact_force=share * loaded.contact_force), more, "r")
     seen = set()
     for name, metric in METRICS.items():
         for model, values in found.items():
@@ -294,7 +295,7 @@ def bumpy(seed: int) -> tuple[Surface, list[History]]:
 def test_all_steps_and_models_at_once_are_each_alone() -> None:
     """A shortcut changes no number: not the steps together, nor the models, nor measures kept of the surface."""
     surface, models = bumpy(5)
-    kept = Surface(surface.points, surface.triangles).under(surface.contact, surface.contact_force)
+    kept = Surface(surface.points, surface.triangles, surface.contact, surface.contact_force)
     found = evaluate_all(kept, {"a": models[0], "b": models[1], "reference": models[2]}, "reference")
     for name, model in zip(("a", "b"), models, strict=False):
         for step in range(3):

@@ -25,7 +25,6 @@ from vdmbench.measures.metrics import METRICS, History
 from vdmbench.models.frames import contact_frame
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
-from vdmbench.study.config import expand
 from vdmbench.study.registry import DISPLACEMENT_ELEMENTS, Family, family_of, is_linear, split
 from vdmbench.study.schema import Study, VdmTable
 from vdmbench.work.explain import refused
@@ -358,7 +357,7 @@ def test_a_plan_names_the_models_that_refuse_fibres(mesh: Mesh, tmp_path: Path) 
     names = sorted(ours - {"fem"})
     asked = TOUCHED | {"study": STUDY["study"] | {"models": names}}
     study = Study.model_validate(asked | {"anisotropy": fibres})
-    plan = make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
+    plan = make_plan(study, tmp_path / "run", tmp_path / "cache")
     told = {line.split()[0] for line in refused(plan, plan.cases)}
     refusing = ("bem", "bem-sparse", "mass-spring")
     assert told == {

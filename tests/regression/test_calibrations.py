@@ -35,7 +35,7 @@ def stored(study: str) -> dict[str, Any]:
 def test_a_shipped_calibration_comes_out_again(study: str, tmp_path: Path) -> None:
     path = ROOT / "studies" / "cases" / f"{study}.toml"
     loaded = load_study(path)
-    plan = make_plan(loaded, expand(loaded), tmp_path / "run", tmp_path / "cache")
+    plan = make_plan(loaded, tmp_path / "run", tmp_path / "cache")
     run, _ = run_plan(plan, Options(jobs=2), lambda _: None, rebuild)
     again = as_json(calibrate(body(plan, run)))
     assert again.keys() == stored(study).keys()

@@ -13,9 +13,9 @@ from solver_common.solution import Status
 from tests.vdm.vdm_shapes import icosphere
 from vdmbench.body.surface_measures import Surface
 from vdmbench.machine import processor_name
-from vdmbench.measures.case import CaseResult, Limit, MetricSeries, ModelLimits, Run
+from vdmbench.measures.case import CaseResult, Limit, ModelLimits, Run
 from vdmbench.measures.measurement import InputSpread, Measurement, ModelSpread, Quantity
-from vdmbench.measures.metrics import METRICS, History, evaluate
+from vdmbench.measures.metrics import History, evaluate
 from vdmbench.scene.result import FrameTimes, ModelResult
 from vdmbench.study.config import resolved
 from vdmbench.study.schema import Study
@@ -109,11 +109,7 @@ def make_case(
     metrics = {}
     for name, history in histories.items():
         other = histories[reference] if reference is not None and name != reference else None
-        values = evaluate(surface, history, other)
-        metrics[name] = {
-            metric: MetricSeries(v, METRICS[metric].unit, METRICS[metric].definition, METRICS[metric].version)
-            for metric, v in values.items()
-        }
+        metrics[name] = evaluate(surface, history, other)
     given = contact or {}
     force = {} if "kind" in given else {"force": 0.5 * load}
     constraint = {"kind": "contact", "name": "finger", "region": "finger", **force, **given}
@@ -188,7 +184,7 @@ def cheap_run(n_cases: int) -> Run:
     for k in range(n_cases):
         factor = 1.0 + 0.5 * np.sin(k)
         metrics = {
-            model: {name: replace(entry, values=entry.values * factor) for name, entry in entries.items()}
+            model: {name: values * factor for name, values in entries.items()}
             for model, entries in base.metrics.items()
         }
         changes = {

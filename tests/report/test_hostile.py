@@ -55,18 +55,9 @@ def hostile_run() -> Run:
             )
             for name, result in case.models.items()
         }
-        metrics = {
-            name: {
-                **entries,
-                attack: dataclasses.replace(next(iter(entries.values())), unit=attack, definition=attack),
-            }
-            for name, entries in case.metrics.items()
-        }
         provenance = {attack: attack, "package.numpy": attack, "mesh_hash": attack}
         cases.append(
-            dataclasses.replace(
-                case, models=models, metrics=metrics, provenance=provenance, mesh_quality={attack: 1.0}
-            )
+            dataclasses.replace(case, models=models, provenance=provenance, mesh_quality={attack: 1.0})
         )
     failed = [
         {"hash": attack, "label": attack, "code": attack, "message": attack, "remedy": attack}
@@ -148,10 +139,7 @@ def with_numbers(case: CaseResult, value: float) -> CaseResult:
         for name, result in case.models.items()
     }
     metrics = {
-        name: {
-            metric: dataclasses.replace(entry, values=np.full_like(entry.values, value))
-            for metric, entry in entries.items()
-        }
+        name: {metric: np.full_like(values, value) for metric, values in entries.items()}
         for name, entries in case.metrics.items()
     }
     error = {

@@ -12,7 +12,7 @@ from vdmbench.body.mesh_cache import read_mesh
 from vdmbench.machine import write_atomically
 from vdmbench.store import cases as store
 from vdmbench.store.plain import StoreError
-from vdmbench.study.config import expand, load_study
+from vdmbench.study.config import load_study
 from vdmbench.work.cache import read_answer
 from vdmbench.work.plan import make_plan
 
@@ -72,7 +72,7 @@ def test_what_is_damaged_is_made_again(copy: Path, undisturbed: tuple[Path, floa
         paths[0].write_bytes(paths[0].read_bytes()[: 2000 + number])
         assert not any(_reads(kind, path) for path in paths)
     study = load_study(copy / "small.toml")
-    do_cases(make_plan(study, expand(study), copy / RUN, copy / CACHE))
+    do_cases(make_plan(study, copy / RUN, copy / CACHE))
     assert_same_results(copy / RUN, undisturbed[0] / RUN)
     assert all(_reads(kind, path) for kind, paths in files.items() for path in paths)
 

@@ -21,7 +21,6 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import SceneError, build_scene
 from vdmbench.store.cases import read_case
-from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
 from vdmbench.work.plan import make_plan
 
@@ -113,7 +112,7 @@ def hertz(directory: Path, **tables: Any) -> Study:
 
 
 def test_sphere_on_a_half_space_by_a_study(tmp_path: Path) -> None:
-    plan = make_plan(hertz(tmp_path), expand(hertz(tmp_path)), tmp_path / "run", tmp_path / "cache")
+    plan = make_plan(hertz(tmp_path), tmp_path / "run", tmp_path / "cache")
     do_cases(plan)
     case = read_case(plan.case_file(plan.cases[0]))
     found = case.models["fem-linear"]

@@ -14,8 +14,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.report.runs import make_case, make_run
-from vdmbench.measures.case import CaseResult, MetricSeries
+from vdmbench.measures.case import CaseResult
 from vdmbench.measures.frame import frame, value_bar
+from vdmbench.measures.metrics import METRICS
 from vdmbench.measures.uncertainty import INDENTATION_FORCE
 from vdmbench.store import cases as store
 from vdmbench.store.run_directory import METRICS_FILE
@@ -39,12 +40,12 @@ def test_the_table_has_every_value_with_its_full_load_bar_and_no_formula() -> No
     for case, swept in zip(cases, (["0.001", ""], ["2.0", "'=x"]), strict=True):
         for model, metrics in case.metrics.items():
             for metric, entry in metrics.items():
-                for step, value in enumerate(entry.values):
+                for step, value in enumerate(entry):
                     bar = value_bar(case, model, metric) if step == case.full_load else math.nan
                     own = repr(bar) if math.isfinite(bar) else ""
                     at = [model.replace("=", "'="), repr(float(case.load_factors[step])), metric]
                     known = repr(float(value)) if math.isfinite(value) else ""
-                    expected.append([case.hash[:12], *swept, *at, known, entry.unit, own])
+                    expected.append([case.hash[:12], *swept, *at, known, METRICS[metric].unit, own])
     assert rows == expected
     assert {row[-1] for row in rows} == {"", "0.0125"}
 
@@ -63,7 +64,7 @@ def test_the_table_of_a_run_holds_load_factors_and_bars(tmp_path: Path, levels: 
     second = make_case({"vdm-paper": 0.1}, reference=REFINED, subdivisions=0, steps=(0.5, -2.0), label="bare")
     store.write_metrics(tmp_path, frame(make_run([first, second])))
     table = pd.read_csv(tmp_path / METRICS_FILE)
-    fine, coarse = (first.metrics[name][DRIFT].values[-1] for name in (REFINED, "fem-linear"))
+    fine, coarse = (first.metrics[name][DRIFT][-1] for name in (REFINED, "fem-linear"))
     assert abs(fine - coarse) > 1e-6
     bars = {
         (REFINED, DRIFT): share * abs(fine - coarse),
@@ -75,9 +76,7 @@ def test_the_table_of_a_run_holds_load_factors_and_bars(tmp_path: Path, levels: 
     for name, bar in bars.items():
         assert_allclose(found.loc[[name], "reference_error"], [bar], rtol=1e-12, atol=0, err_msg=str(name))
     others = {
-        (REFINED, metric)
-        for metric, series in first.metrics[REFINED].items()
-        if np.isfinite(series.values[-1])
+        (REFINED, metric) for metric, series in first.metrics[REFINED].items() if np.isfinite(series[-1])
     }
     assert set(found.index) == bars.keys() | others, "what has no number is left out"
     of_second = table[(table["case"] == second.hash[:12]) & (table["model"] == "vdm-paper")]
@@ -102,9 +101,9 @@ def test_a_figure_that_two_levels_give_alike_has_the_bar_of_the_displacement() -
     alike = {"levels": 2.0, "gci:relative_l2_displacement_error": 0.02, f"gci:{INDENTATION_FORCE}": 0.0}
     case = dataclasses.replace(refined_case(2.0), reference_error=alike)
     finer, model = dict(case.metrics[REFINED]), dict(case.metrics["vdm-paper"])
-    model[INDENTATION_FORCE] = MetricSeries(np.full(len(case.load_factors), 0.5), "1", "", 1)
+    model[INDENTATION_FORCE] = np.full(len(case.load_factors), 0.5)
     case = dataclasses.replace(case, metrics={REFINED: finer, "fem-linear": finer, "vdm-paper": model})
-    drift, of_displaced = (finer[name].values[-1] for name in (DRIFT, "volume_drift_of_displaced"))
+    drift, of_displaced = (finer[name][-1] for name in (DRIFT, "volume_drift_of_displaced"))
     bars = [value_bar(case, REFINED, DRIFT), value_bar(case, "vdm-paper", INDENTATION_FORCE)]
     assert_allclose(bars, [0.02 * abs(drift / of_displaced), 0.02 * 1.5], rtol=1e-12, atol=0)
     spread = Digest(make_run([case])).spread("vdm-paper", INDENTATION_FORCE)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from vdmbench.models import model_names
-from vdmbench.study.config import StudyError, expand, geometry_error
+from vdmbench.study.config import StudyError, geometry_error
 from vdmbench.study.errors import MeshError
 from vdmbench.work.plan import make_plan
 
@@ -51,7 +51,7 @@ def test_too_many_nodes_are_told_where_the_mesh_size_is_swept(tmp_path: Path) ->
     """By the key itself: `tests/robustness/test_command_line.py`."""
     study = load(tmp_path, f'{SWEPT}[sweep]\n"geometry.mesh_size" = [6e-3, 1e-4]\n')
     with pytest.raises(StudyError, match=r"would give about 2.3e\+06 nodes, more than the 2000000") as caught:
-        make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache")
+        make_plan(study, tmp_path / "run", tmp_path / "cache")
     (problem,) = caught.value.problems
     assert (problem.line, problem.key) == (27, 'sweep."geometry.mesh_size"')
 

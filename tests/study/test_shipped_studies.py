@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.command import vdmbench
-from vdmbench.study.config import Study, expand, load_study
+from vdmbench.study.config import Study, load_study
 from vdmbench.work.explain import summary
 from vdmbench.work.plan import make_plan
 
@@ -24,7 +24,7 @@ def shipped(name: str) -> Study:
 @pytest.mark.parametrize("name", NAMES)
 def test_check_and_plan(name: str, tmp_path: Path) -> None:
     study = shipped(name)
-    planned = summary(make_plan(study, expand(study), tmp_path / "run", tmp_path / "cache"))
+    planned = summary(make_plan(study, tmp_path / "run", tmp_path / "cache"))
     assert len(planned["cases"]) == planned["cases_to_run"] >= 1, "no case repeats another"
     assert study.study.name == name
     assert study.study.title != name

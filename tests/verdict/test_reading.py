@@ -11,7 +11,7 @@ import pytest
 from solver_common.solution import CONVERGED
 from tests.report.runs import make_case
 from vdmbench.body.surface_measures import Surface
-from vdmbench.measures.case import CaseResult, MetricSeries
+from vdmbench.measures.case import CaseResult
 from vdmbench.measures.metrics import History, evaluate
 from vdmbench.verdict.reading import WRONG, reading, trusted
 
@@ -113,8 +113,7 @@ def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> No
     measured = evaluate(
         Surface(sound.points, sound.triangles), History(u, np.zeros_like(u), np.ones(1)), None
     )
-    metrics = {name: MetricSeries(values, "1", "", 1) for name, values in measured.items()}
-    grew = dataclasses.replace(sound, models=results, metrics=dict.fromkeys(results, metrics))
+    grew = dataclasses.replace(sound, models=results, metrics=dict.fromkeys(results, measured))
     direct, nonlinear = (reading(grew, name) for name in (DIRECT, NONLINEAR))
     assert direct is not None
     assert nonlinear is not None

@@ -186,7 +186,7 @@ def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
     case = make_case({MODEL: 0.05}, subdivisions=3)
     name = "relative_l2_displacement_error"
     # 3.75 %, 7.5 %, 11.25 % and 15 %; half of 0.5 N
-    growing = dataclasses.replace(case.metrics[MODEL][name], values=case.load_factors * 0.15)
+    growing = case.load_factors * 0.15
     metrics = {**case.metrics, MODEL: {**case.metrics[MODEL], name: growing}}
     reached = verdict(make_run([dataclasses.replace(case, metrics=metrics)])).up_to
     assert reached is not None

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.report.runs import asked, make_case, make_run, measured_anew
-from vdmbench.measures.case import CaseResult, MetricSeries, Run
-from vdmbench.measures.metrics import DEFORMATION, METRICS, VECTOR, History, evaluate
+from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.metrics import DEFORMATION, VECTOR, History, evaluate
 from vdmbench.verdict.advice import (
     COMPRESSIBILITY,
     LEFT_OUT,
@@ -49,10 +49,7 @@ def growing(shares: Mapping[str, Sequence[float]], reference: str = "fem", **oth
         models[name] = dataclasses.replace(case.models[name], displacement=u)
         history, other = (History(v, true.reaction_force, case.load_factors) for v in (u, true.displacement))
         values = evaluate(surface, history, other)
-        metrics[name] = {
-            key: MetricSeries(values[key], METRICS[key].unit, METRICS[key].definition, METRICS[key].version)
-            for key in (VECTOR, DEFORMATION)
-        }
+        metrics[name] = {key: values[key] for key in (VECTOR, DEFORMATION)}
     return dataclasses.replace(case, models=models, metrics=metrics)
 
 

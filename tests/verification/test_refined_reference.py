@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.refine import refined
-from vdmbench.body.surface_measures import Surface, relative_l2
+from vdmbench.body.surface_measures import relative_l2
 from vdmbench.measures.metrics import METRICS, History, evaluate
 from vdmbench.measures.reference import level_scene, own_error, restricted
 from vdmbench.measures.uncertainty import reference_bar, stored_estimate
@@ -53,10 +53,6 @@ def levels_of(study: Study, scene: Scene, model: str, n_levels: int) -> list[Mod
     return found
 
 
-def surface_of(scene: Scene) -> Surface:
-    return Surface(scene.mesh.surface_points, scene.mesh.triangles, scene.contact, scene.contact_force)
-
-
 @pytest.fixture(scope="module")
 def levels(scene: Scene) -> list[ModelResult]:
     """Three of the reference, the coarsest first."""
@@ -65,7 +61,7 @@ def levels(scene: Scene) -> list[ModelResult]:
 
 def test_three_levels(scene: Scene, levels: list[ModelResult]) -> None:
     coarse, middle, fine = levels
-    surface = surface_of(scene)
+    surface = scene.surface
     two = own_error(surface, [middle, coarse], scene.load_factors)
     three = own_error(surface, [fine, middle, coarse], scene.load_factors)
     u0, u1, u2 = (result.displacement[-1] for result in (coarse, middle, fine))
@@ -94,7 +90,7 @@ def test_three_levels(scene: Scene, levels: list[ModelResult]) -> None:
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.0])
 def test_own_error_of_a_known_sequence(scene: Scene, levels: list[ModelResult], order: float) -> None:
     """Levels u + h^p e with the largest load in the middle of the history: the bar is 1.25 h^p |e| / |u|."""
-    surface = surface_of(scene)
+    surface = scene.surface
     rng = np.random.default_rng(0)
     coarse = levels[0]
     exact, e = coarse.displacement[-1], 1e-3 * rng.standard_normal(coarse.displacement[-1].shape)
@@ -124,7 +120,7 @@ def test_own_error_of_a_known_sequence(scene: Scene, levels: list[ModelResult], 
 
 def test_the_references_own_figures_are_judged_by_all_levels(scene: Scene, levels: list[ModelResult]) -> None:
     """By hand: a strain of 1 + 3 h, which is of order 1, and a volume that the levels do not settle."""
-    surface, coarse = surface_of(scene), levels[0]
+    surface, coarse = scene.surface, levels[0]
     stretch = np.zeros_like(coarse.displacement[:1])
     stretch[0, :, 0] = scene.mesh.surface_points[:, 0]
 
@@ -146,7 +142,7 @@ def test_the_indentation_force_under_a_weight_has_a_bar_where_a_step_has_no_load
     scene: Scene, levels: list[ModelResult]
 ) -> None:
     """By hand: it sags by s without load, which a step without load tells, and is level h softer by 1 + h^2."""
-    surface = surface_of(scene).under(scene.contact, scene.contact_force, weighs=True)
+    surface = dataclasses.replace(scene.surface, weighs=True)
     coarse = levels[0]
     push = coarse.displacement[-1:]
 
@@ -184,7 +180,7 @@ def test_levels_of_a_surface_model_without_an_inside() -> None:
     assert len(scene.mesh.tetrahedra) == 0
     levels = levels_of(study, scene, "vdm-consistent", 4)
     assert levels[-1].displacement.shape == (2, len(scene.fixed), 3)
-    estimate = stored_estimate(own_error(surface_of(scene), levels[::-1], scene.load_factors))
+    estimate = stored_estimate(own_error(scene.surface, levels[::-1], scene.load_factors))
     assert estimate is not None
     assert estimate.behaviour == "converging"
     assert estimate.error < 0.01

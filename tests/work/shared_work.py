@@ -21,7 +21,6 @@ from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.measures.case import CaseResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.store.cases import read_case
-from vdmbench.study.config import expand
 from vdmbench.study.schema import Study
 from vdmbench.work.plan import Plan, PlannedCase, make_plan
 from vdmbench.work.tasks import tasks_of
@@ -83,7 +82,7 @@ def plan_of(
 ) -> Plan:
     """The plan of the study of these tables with some of them changed."""
     study = Study.model_validate(copy.deepcopy(tables) | changes)
-    return make_plan(study, expand(study), directory, cache, fresh=fresh)
+    return make_plan(study, directory, cache, fresh=fresh)
 
 
 def run(plan: Plan) -> list[CaseResult]:

@@ -88,17 +88,17 @@ def test_the_load_that_was_reached_is_compared_and_is_not_the_full_load(
             start = sum(before)
             assert f"beyond {(reached - start) / (1.0 - start):.4g} of load step" in status[-1].message
     assert case.models["vdm-vector"].status[-1].ok
-    errors = case.metrics["vdm-vector"]["relative_l2_displacement_error"].values
+    errors = case.metrics["vdm-vector"]["relative_l2_displacement_error"]
     assert np.isnan(errors[-1])
 
     # the same load by itself; to the first step the weight grows as well
     alone = _run(tmp_path / "part", [*before, reached], levels, weight=1.0 if before else reached)
     for name, metrics in alone.metrics.items():
         for metric, series in metrics.items():
-            found = case.metrics[name][metric].values
-            assert_allclose(found[: len(before)], series.values[:-1], rtol=1e-6, atol=1e-9, err_msg=metric)
+            found = case.metrics[name][metric]
+            assert_allclose(found[: len(before)], series[:-1], rtol=1e-6, atol=1e-9, err_msg=metric)
             if np.isfinite(found[-2]):  # distances are of the full load
-                assert_allclose(found[-2], series.values[-1], rtol=1e-6, atol=1e-9, err_msg=metric)
+                assert_allclose(found[-2], series[-1], rtol=1e-6, atol=1e-9, err_msg=metric)
     own = "relative_l2"
     assert (own in alone.reference_error) == (levels > 1)
     for key, value in alone.reference_error.items():
@@ -156,7 +156,7 @@ def test_a_reference_without_any_answer_stops_alone(tmp_path: Path) -> None:
     why = "rounding of its coordinates"
     assert why in case.models["fem refined"].status[0].message
     assert np.isfinite(case.models["vdm-paper"].displacement).all()
-    assert np.isnan(case.metrics["vdm-paper"]["relative_l2_displacement_error"].values).all()
+    assert np.isnan(case.metrics["vdm-paper"]["relative_l2_displacement_error"]).all()
     told = summary(run)
     assert {verdict["word"] for verdict in told["verdicts"].values()} == {"not judged"}
     assert told["judgement"]["unreached"][0]["share"] == 0.0
