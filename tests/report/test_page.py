@@ -16,12 +16,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.report.runs import REFERENCE, cheap_run, make_case, make_run, sweep_run
+from tests.report.runs import REFERENCE, asked, cheap_run, make_case, make_run, sweep_run, whole_case
 from vdmbench.measures.case import Run
 from vdmbench.report import section_view
-from vdmbench.report.blocks import Figures, Viewer
+from vdmbench.report.blocks import Figures, Table, Viewer
 from vdmbench.report.page import page_html, write_report
 from vdmbench.report.section_charts import errors
+from vdmbench.report.section_tables import small_strain_limits
 from vdmbench.report.section_view import payload
 from vdmbench.verdict.digest import Digest
 
@@ -238,3 +239,20 @@ def test_everything_drawn_is_told_in_words_and_every_table_can_be_taken_away(htm
     assert tables >= 4
     in_the_head = 2
     assert html.count('data-action="csv"') == tables - in_the_head
+
+
+def test_a_small_strain_limit_is_told_in_the_unit_of_the_only_load_else_as_a_multiple() -> None:
+    """0.35 and 0.6 times a study's loads: several, and a pressure of 1 kPa alone."""
+    several = whole_case()
+    press = {"kind": "contact", "region": "base", "name": "finger", "pressure": 1000.0}
+    alone = asked(several, constraints=[press], gravity=None)
+    for case, title, loads in (
+        (several, "Times the study's loads", ["0.350", "to 0.600"]),
+        (alone, "Load", ["350 Pa", "to 600 Pa"]),
+    ):
+        found = small_strain_limits(Digest(make_run([case])))
+        assert found is not None
+        table = found.blocks[0]
+        assert isinstance(table, Table)
+        place = [column.title for column in table.columns].index(title)
+        assert [row[place].text for row in table.rows] == loads
