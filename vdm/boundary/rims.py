@@ -18,6 +18,7 @@ stiff as its mesh without cuts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,17 +55,10 @@ class Rims:
     follows: Array
 
     @classmethod
-    def of(cls, surface: SurfaceMesh, held: Mask, shared: Mask | None = None) -> Rims:
-        """The surface with its facets between held nodes (N,) and free ones cut in three.
-
-        Edges between `shared` nodes (N,), which other bodies have too, stay: what they would add is not shared.
-        """
+    def of(cls, surface: SurfaceMesh, held: Mask) -> Rims:
+        """The surface with its facets between held nodes (N,) and free ones cut in three."""
         n = surface.n_nodes
-        edges = surface.edges
-        is_cut = held[edges[:, 0]] != held[edges[:, 1]]
-        if shared is not None:
-            is_cut &= ~shared[edges].all(axis=1)
-        ends = np.where(held[edges[is_cut, :1]], edges[is_cut], edges[is_cut, ::-1])
+        ends, (triangles,) = cut_at_rims(surface.points, [surface.triangles], held)
         k = len(ends)
         places = sparse.csr_array(
             (np.tile([1.0 - PLACE, PLACE], k), ends.reshape(-1), np.arange(0, 2 * k + 1, 2)), shape=(k, n)
@@ -73,11 +67,7 @@ class Rims:
         follows = np.zeros((3 * k, 3 * n))
         if not k:
             return cls(surface, surface, shares, follows)
-        new = np.full(len(edges), -1)
-        new[is_cut] = n + np.arange(k)
-        points = np.asarray(shares @ surface.points)
-        cut = _cut(surface.triangles, new[surface.facet_edges], points)
-        return cls(surface, SurfaceMesh(points, cut), shares, follows)
+        return cls(surface, SurfaceMesh(np.asarray(shares @ surface.points), triangles), shares, follows)
 
     def condensed(self, matrix: Array) -> Array:
         """(3N, 3N) stiffness in 64 bits of one (3(N + k), 3(N + k)), which is used up; new nodes then follow.
@@ -143,19 +133,44 @@ def _without(vectors: Array, basis: Array) -> Array:
     return vectors - basis @ (basis.T @ vectors)
 
 
-def _cut(triangles: Index, new: Index, points: Array) -> Index:
-    """The facets, those with new nodes on two sides (F, 3; -1 for none) in three: a corner and the rest.
+def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Index, list[Index]]:
+    """Ends (k, 2), the held one first, of edges between held and free nodes (N,); facets of all bodies, cut there.
 
-    One with a single new node is cut in two.
+    Edge i gets the node N + i, in all bodies that have it, and a facet that two of them have is cut alike in both.
     """
-    sides = (new >= 0).sum(axis=1)
-    is_cut, halved = sides == 2, sides == 1
-    # side 0 is after corner 0
-    around = (np.argmax(new[halved], axis=1)[:, None] + np.arange(3)) % 3
-    i, j, k = np.take_along_axis(triangles[halved], around, axis=1).T
-    ij = new[halved].max(axis=1)
-    halves = [np.stack([i, ij, k], axis=1), np.stack([ij, j, k], axis=1)]
-    # the corner between the two sides comes first
+    n = len(points)
+    facets = np.concatenate(bodies)
+    sides = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2)
+    keys = np.where(
+        held[sides[:, :, 0]] != held[sides[:, :, 1]], sides.min(axis=2) * n + sides.max(axis=2), -1
+    )
+    found, numbers = np.unique(keys, return_inverse=True)
+    is_first = int(found[0] < 0)  # sides that are not cut
+    found, numbers = found[is_first:], numbers.reshape(-1, 3) - is_first
+    ends = np.stack(np.divmod(found, n), axis=1)
+    ends = np.where(held[ends[:, :1]], ends, ends[:, ::-1])
+    if not len(ends):
+        return ends, list(bodies)
+    grown = np.vstack([points, (1.0 - PLACE) * points[ends[:, 0]] + PLACE * points[ends[:, 1]]])
+    new = np.where(numbers < 0, -1, n + numbers)
+    _, of, uses = np.unique(np.sort(facets, axis=1), axis=0, return_inverse=True, return_counts=True)
+    # seen from either side a facet is cut as the one with its nodes in ascending order, but for a cyclic shift
+    a, b, c = facets.T
+    turned = (uses[of.reshape(-1)] > 1) & ((a - b) * (b - c) * (c - a) < 0)
+    pieces, start = list[Index](), 0
+    for body in bodies:
+        span = slice(start, start + len(body))
+        t, at, back = facets[span], new[span], turned[span]
+        mirrored = _cut(t[back][:, ::-1], at[back][:, [1, 0, 2]], grown)[:, ::-1]
+        pieces.append(np.concatenate([_cut(t[~back], at[~back], grown), mirrored]))
+        start += len(body)
+    return ends, pieces
+
+
+def _cut(triangles: Index, new: Index, points: Array) -> Index:
+    """The facets, those with new nodes on two sides (F, 3; -1 for none) in three: a corner and the rest."""
+    is_cut = (new >= 0).any(axis=1)
+    # the corner between the two sides comes first; side 0 is after corner 0
     turned = (np.argmin(new[is_cut], axis=1)[:, None] + 2 + np.arange(3)) % 3
     a, b, c = np.take_along_axis(triangles[is_cut], turned, axis=1).T
     ab, _, ca = np.take_along_axis(new[is_cut], turned, axis=1).T
@@ -163,5 +178,4 @@ def _cut(triangles: Index, new: Index, points: Array) -> Index:
     lengths = np.linalg.norm(points[[ab, b]] - points[[c, ca]], axis=2)
     third, second = np.where(lengths[0] < SHORTER * lengths[1], [ab, c], [b, ca])
     thirds = [(a, ab, ca), (ab, b, second), (third, c, ca)]
-    whole = triangles[sides == 0]
-    return np.concatenate([whole, *(np.stack(part, axis=1) for part in thirds), *halves])
+    return np.concatenate([triangles[~is_cut], *(np.stack(part, axis=1) for part in thirds)])

@@ -32,6 +32,7 @@ import numpy as np
 from scipy import sparse
 
 from solver_common.arrays import Array, Index, Mask
+from vdm.boundary.rims import PLACE
 from vdm.constraints import Load
 from vdm.deformed import DeformableSurface, DeformedSurface, best_rotation
 from vdm.formulations.base import Factor
@@ -74,8 +75,8 @@ class _Acting:
     datum : (m,) at those middles, above the highest point of the body at rest [Pa]
     gradient : (n_p, 3) of what a pressure changes: of the volumes and what `Swelling` has beyond them
     inward : (n_p, 3) in each part's frame: forces of that, and of its squeeze under its weight [N]
-    squeezed : (m + c,) volumes of that squeeze [m^3]
-    filled : (n_p, 3, k) gradient of the volumes of the cavities that a fluid fills
+    squeezed : (m + c,) volumes of that squeeze, zero of further ones [m^3]
+    filled : (n_p, 3, c) gradient of the volumes of the cavities that a fluid fills, and of what rims bulge
     """
 
     state: DeformedSurface
@@ -121,7 +122,7 @@ class Parts:
     """The body of a problem of boundary elements, cut into `count` parts; `vdm.solvers.nonlinear.Large`.
 
     Nodes of the problem's surface come first, those inside after them. One part is the problem's own formulation.
-    The pressures are those of the parts, and after them of the cavities that a fluid fills.
+    The pressures are those of the parts, and after them of the cavities that a fluid fills and of the rims.
 
     Attributes
     ----------
@@ -140,14 +141,16 @@ class Parts:
         whole = problem.formulation
         assert isinstance(whole, BoundaryFormulation)
         surface, held = whole.surface, problem.support.held
-        self.cut = given or cut(surface.points, surface.triangles, count, _rim(surface, held))
+        found = given or cut(surface.points, surface.triangles, count, _rim(surface, held))
+        self.cut = found if given or len(found.parts) == 1 else found.at_rims(held)
         points = self.cut.points
         n = len(points)
         self.rest = points - problem.body.origin
         self.n_parts = len(self.cut.parts)
         filled = whole.parameters.fluid_in_cavities
         self._n_filled = int(surface.shells.max()) if filled else 0
-        self.n_pressures = self.n_parts + self._n_filled
+        self._n_further = self._n_filled + (len(self.cut.ends) > 0)
+        self.n_pressures = self.n_parts + self._n_further
         self.free = np.ones(n, np.bool_)
         self.free[: len(held)] = ~held
         fixed = ~self.free
@@ -155,8 +158,7 @@ class Parts:
         for triangles in self.cut.parts:
             uses[np.unique(triangles)] += 1
         self._ground = whole.parameters.ground
-        joined = uses > 1
-        shared = joined.copy()
+        shared = uses > 1
         if self._ground is not None:
             shared[np.flatnonzero(np.diff(self._ground.indptr).reshape(-1, 3).any(axis=1))] = True
         shared &= self.free
@@ -175,6 +177,7 @@ class Parts:
         parameters = replace(whole.parameters, ground=None, fluid_in_cavities=False)
         of_shell = np.zeros(n, np.int64)  # nodes of caps are of none, and so are facets with one of them
         of_shell[surface.triangles] = surface.shells[:, None]
+        of_shell[n - len(self.cut.ends) :] = of_shell[self.cut.ends].min(axis=1)
         self.problem, block = problem, None
         if self.n_parts == 1:
             self.factor = BorderedFactor(problem)
@@ -190,7 +193,7 @@ class Parts:
                 own = SurfaceMesh(points[nodes], local.reshape(-1, 3))
                 # a search for a rest shape, which passes one cut on, does not end with single precision's tractions
                 precise_as = surface.n_nodes if given is None else 1
-                form = BoundaryFormulation(own, parameters, fixed[nodes], joined[nodes], precise_as)
+                form = BoundaryFormulation(own, parameters, fixed[nodes], precise_as, is_cut=True)
             form.swelling = Swelling.of(form)
             owns = np.zeros(len(nodes), np.bool_)
             on_surface = nodes < surface.n_nodes
@@ -217,17 +220,21 @@ class Parts:
         self._inner_part, self._joined_part = (np.repeat(np.arange(self.n_parts), k) for k in (inner, joins))
         self._unknowns = list(zip(self.parts, _spans(3 * inner), _spans(3 * joins), strict=True))
         self._sum, self._join = _summing(self._nodes, n), _summing(self._places, self._n_shared)
-        held_at_rest = self._cavities(self._joint.at(np.zeros((len(self._nodes), 3))))[0]
-        self.volumes = np.append([part.form.surface.volume for part in self.parts], held_at_rest)
+        bulges = np.concatenate([self._bulging(part) for part in self.parts])[:, :, None]
+        self._bulges = bulges if len(self.cut.ends) else bulges[:, :, :0]
+        at_rest = np.zeros((n, 3))
+        self.volumes = self._kept(self._joint.at(at_rest[self._nodes]), at_rest)[0]
         swellings = [part.swelling for part in self.parts]
         self._beyond = np.concatenate([one.beyond for one in swellings])
-        self.give = np.append([one.give for one in swellings], np.zeros(self._n_filled))
+        self.give = np.append([one.give for one in swellings], np.zeros(self._n_further))
         # of a unit slope of a part's weight: forces that its squeeze takes (n, 3, 3), and volume (3,)
         self._squeeze = [
             _squeeze(part)
             for part in self.parts
             if part.swelling.give and problem.support.gravity is not None
         ]
+        # and forces (n, 3, 3) under its rims, which only one that is not cut has
+        self._under_rims = [part.form.pressed_at_rims() for part in self.parts if self.n_parts == 1]
         self.wanted = 1
         self._turns: Array | None = None
         self._slope: _Slope | None = None
@@ -237,7 +244,9 @@ class Parts:
         self._factor: Factor = Nothing()
         if self.n_parts > 1:
             self._joined_at(np.tile(np.eye(3), (self.n_parts, 1, 1)))
-            form = JoinedFormulation(whole, self.parts, self._shared, self._factor)
+            form = JoinedFormulation(
+                whole, self.parts, self._shared, self._factor, has_rims=len(self.cut.ends) > 0
+            )
             self.problem = replace(problem, formulation=form)
             self.factor = BorderedFactor(self.problem)
 
@@ -249,9 +258,8 @@ class Parts:
         placed = [state.positions[span] @ q.T for span, q in zip(self._spans, turns, strict=True)]
         away = np.concatenate(placed) - self._joint.rest
         forces = np.concatenate([part.form.swollen_force(away[span]) for part, span in self._each()])
-        held, filled = self._cavities(state)
-        volumes = state.volumes(self._first_facet)
-        grown = np.append(volumes, held) - self.volumes
+        kept, filled = self._kept(state, x)
+        volumes, grown = kept[:m], kept - self.volumes
         grown[:m] += np.add.reduceat(np.einsum("nc,nc->n", self._beyond, away), self._first)
         energy = 0.5 * float(np.vdot(away, forces))
         energy += 0.5 * float((grown[:m] ** 2 / np.where(self.give[:m], self.give[:m], np.inf)).sum())
@@ -259,11 +267,12 @@ class Parts:
         inward, squeezed = self._inward(pressure, rise, turns)
         gap = (grown + self.give * pressure - squeezed) / self.volumes
         internal = np.asarray(self._sum @ turned_back(forces + inward, turns, state, self._spans))
-        pushed = (pressure[self._part] + weight)[:, None] * state.area_vectors + filled @ pressure[m:]
+        pushed = (pressure[self._part] + weight)[:, None] * state.area_vectors
+        pushed += filled @ pressure[m : m + self._n_filled]
+        for under_rims in self._under_rims:
+            pushed += (under_rims @ (turns[0] @ rise[0])) @ turns[0]
         applied = np.asarray(self._sum @ pushed)
         outer = problem.body.at(x[:n_surface], turns[0] if m == 1 else turns[self.owner])
-        # of the caps the two sides cancel
-        outer.area_vectors = np.asarray(self._sum @ state.area_vectors)[:n_surface]
         on_surface = problem.deformed_force(replace(load, weight=0.0), outer, outer.area_vectors)
         applied[:n_surface] += on_surface
         if load.dead_force is not None:
@@ -275,6 +284,9 @@ class Parts:
         if self.give.any():
             placed = [self._beyond[span] @ q for span, q in zip(self._spans, turns, strict=True)]
             gradient = gradient + np.concatenate(placed)
+        if len(self.cut.ends):
+            bulging = turned_back(self._bulges[:, :, 0], turns, state, self._spans)
+            filled = np.concatenate([filled, bulging[:, :, None]], axis=2)
         acting = _Acting(
             state, turns, away, energy, on_surface, weight, rise, datum, gradient, inward, squeezed, filled
         )
@@ -297,6 +309,7 @@ class Parts:
     def _inward(self, pressure: Array, rise: Array, turns: Array) -> tuple[Array, Array]:
         """See `_Acting`; and by how much weight alone squeezes the volumes of parts and cavities (m + c,) [m^3]."""
         inward, squeezed = -pressure[self._part][:, None] * self._beyond, np.zeros(len(pressure))
+        inward -= self._bulges @ pressure[self.n_parts + self._n_filled :]
         for e, (pulled, flux) in enumerate(self._squeeze):
             slope = turns[e] @ rise[e]
             inward[self._spans[e]] -= pulled @ slope
@@ -309,9 +322,22 @@ class Parts:
 
     @property
     def _rows_of_volumes(self) -> Index:
-        """(m + c,) rows of the system of all borders that keep the volumes of parts, then of c filled cavities."""
+        """(m + c,) rows of the system of all borders: volumes of parts, then of filled cavities and of rims."""
         rows = BORDER * self.n_parts
-        return np.append(np.arange(0, rows, BORDER), rows + np.arange(self._n_filled))
+        return np.append(np.arange(0, rows, BORDER), rows + np.arange(self._n_further))
+
+    def _kept(self, state: DeformedSurface, x: Array) -> tuple[Array, Array]:
+        """(m + c,) volumes at x (n, 3) that the pressures are of; the gradient (n_p, 3, k) of those of cavities.
+
+        That of rims is what the parts have beside the polyhedron of the body's nodes, to which the body's volume at
+        rest is added: its rims bulge by as much as they sink.
+        """
+        volumes, (held, filled) = state.volumes(self._first_facet), self._cavities(state)
+        kept, body = np.append(volumes, held), self.problem.body
+        if len(self.cut.ends):
+            seen = body.at(x[: body.surface.n_nodes])
+            kept = np.append(kept, body.surface.volume + volumes.sum() - seen.volume)
+        return kept, filled
 
     def _cavities(self, state: DeformedSurface) -> tuple[Array, Array]:
         """Volumes (k,) of the filled cavities, and their gradient (n_p, 3, k) at the nodes of all parts.
@@ -325,6 +351,17 @@ class Parts:
         corners = state.positions[corner] + self._joint.origin[corner] - self.problem.body.origin
         gradient = [self._joint.gather @ np.ascontiguousarray(-vectors[:, k]) for k in range(self._n_filled)]
         return np.einsum("fkc,fc->k", vectors, corners) / -3.0, np.stack(gradient, axis=2)
+
+    def _bulging(self, part: Part) -> Array:
+        """(n, 3) volume [m^2] that the rims of a part bulge by, over its displacement: beyond their cut edges."""
+        nodes, ends = part.nodes, self.cut.ends
+        first = len(self.free) - len(ends)
+        new = nodes >= first
+        at_ends = np.searchsorted(nodes, ends[nodes[new] - first])
+        vectors = np.where(new[:, None], part.form.surface.area_vectors, 0.0)
+        for end, share in zip(at_ends.T, (1.0 - PLACE, PLACE), strict=True):
+            np.add.at(vectors, end, -share * part.form.surface.area_vectors[new])
+        return vectors
 
     def correction(
         self,
@@ -419,9 +456,9 @@ class Parts:
     def _slope_at(self, balance: Balance, turns: Array) -> _Slope:
         n, m, k = self._n_shared, self.n_parts, BORDER
         acting: _Acting = balance.parts
-        # of the border those of each part, and after them the pressures in cavities
-        columns = [np.append(k * e + np.arange(k), k * m + np.arange(self._n_filled)) for e in range(m)]
-        size = k * m + self._n_filled
+        # of the border those of each part, and after them the pressures of further volumes
+        columns = [np.append(k * e + np.arange(k), k * m + np.arange(self._n_further)) for e in range(m)]
+        size = k * m + self._n_further
         border, corner = np.zeros((n, 3, size)), np.zeros((size, size))
         away = self._foreseen(balance)
         pushed, inside = list[Array](), np.zeros((3 * len(self._inner), size))
@@ -481,7 +518,8 @@ class Parts:
         pushed = (balance.pressure[number] + acting.weight[span])[:, None] * vectors - acting.inward[span]
         own = part.nodes[part.owns]
         pushed[part.owns] += acting.on_surface[own] @ q.T
-        pushed += acting.filled[span] @ balance.pressure[self.n_parts :] @ q.T
+        in_cavities = slice(self.n_parts, self.n_parts + self._n_filled)
+        pushed += acting.filled[span, :, : self._n_filled] @ balance.pressure[in_cavities] @ q.T
         slope = ((stressed[:, :, 0] - pushed) @ TURNED).reshape(-1, 3, 3) - stressed[:, :, 1:]
         slope -= vectors[:, :, None] * ((q @ acting.rise[number]) @ turned)[:, None, :]
         met = turned.reshape(-1, 3).T @ slope.reshape(-1, 3)
@@ -537,11 +575,9 @@ class Parts:
         return {name: float(value) for name, value in found.items()}
 
     def _strains(self, balance: Balance) -> list[float]:
-        """Of each part, see `surface_strain`."""
-        return [
-            surface_strain(part.body.at(balance.x[part.nodes]), part.form.poisson_ratio)
-            for part in self.parts
-        ]
+        """Of each part, see `surface_strain`: of its facets as they were, which do not grow finer at rims."""
+        positions, ratio = self.rest + balance.x, self.parts[0].form.poisson_ratio
+        return [surface_strain(self.rest, positions, t, ratio) for t in self.cut.uncut or self.cut.parts]
 
     def reserved(self, status: Status, balance: Balance) -> Status:
         """The status, with what the parts do not follow: too few of them, strain within one."""
@@ -645,20 +681,19 @@ def _small_rotation(surface: SurfaceMesh, nodes: Index, displacement: Array) -> 
     return np.asarray(np.linalg.solve(inertia, moved))
 
 
-def surface_strain(state: DeformedSurface, poisson_ratio: float) -> float:
-    """Largest principal stretch of the facets, less 1, that 99 % of the area stays below.
+def surface_strain(rest: Array, positions: Array, corners: Index, poisson_ratio: float) -> float:
+    """Largest principal stretch of facets (F, 3), less 1, that 99 % of the area stays below.
 
     Under a surface without load the thickness takes what Poisson's ratio says, at 1/2 what the area loses.
     """
-    corners = state.body.surface.triangles
     sides = [
         np.stack([places[corners[:, k]] - places[corners[:, 0]] for k in (1, 2)], axis=1)
-        for places in (state.body.rest, state.positions)
+        for places in (rest, positions)
     ]
     before, after = (side @ side.transpose(0, 2, 1) for side in sides)
     stretches = np.sqrt(np.clip(np.linalg.eigvals(np.linalg.solve(before, after)).real, 1e-300, None))
     third = stretches.prod(axis=1) ** (-poisson_ratio / (1.0 - poisson_ratio))
     strain = np.abs(np.column_stack([stretches, third]) - 1.0).max(axis=1)
     order = np.argsort(strain)
-    areas = np.cumsum(state.body.surface.facet_areas[order])
+    areas = np.cumsum(np.sqrt(np.linalg.det(before))[order])
     return float(strain[order][np.searchsorted(areas, MOST_AREA * areas[-1])])

@@ -7,12 +7,13 @@ set of simple loops, which a cap fills (`vdm.parts.caps`). Surface nodes stay as
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
 from solver_common.closed_surfaces import closed_pieces, crossings, solid_angles
+from vdm.boundary.rims import PLACE, cut_at_rims
 from vdm.parts.caps import CutError, cap, nearest
 
 # places of the plane that are tried, as a share of the area beside the middle
@@ -22,6 +23,8 @@ SWEEPS = 50
 SMALLEST = 60
 # of the loops' mean edge: closer to the surface than this, a cap's node leaves no room for a body between
 ROOM = 0.3
+# edges that a cut keeps from marked nodes where it can
+AWAY = 3
 
 
 @dataclass(frozen=True)
@@ -30,14 +33,29 @@ class Cut:
 
     Attributes
     ----------
-    points : (N + k, 3), those of the caps last
+    points : (N + k, 3), those of the caps after the body's, and then those of rims
     parts : facets (F_e, 3) of each part's closed surface, outward
     refused : why no more parts were made, empty where as many were made as were asked for
+    ends : (r, 2) nodes of the edges at rims that the last r nodes cut
+    uncut : the parts without these; empty where there are none
     """
 
     points: Array
     parts: tuple[Index, ...]
     refused: str = ""
+    ends: Index = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    uncut: tuple[Index, ...] = ()
+
+    def at_rims(self, held: Mask) -> Cut:
+        """The parts, also cut along the rims of the body's held nodes (N,), caps too (`vdm.boundary.rims`).
+
+        These are nodes like others: what bulges at its rims is of a part's volume, which would else be stiffer than
+        that of the whole body, whose rims only keep the sum.
+        """
+        known = np.append(held, np.zeros(len(self.points) - len(held), np.bool_))
+        ends, parts = cut_at_rims(self.points, self.parts, known)
+        new = (1.0 - PLACE) * self.points[ends[:, 0]] + PLACE * self.points[ends[:, 1]]
+        return Cut(np.vstack([self.points, new]), tuple(parts), self.refused, ends, self.parts)
 
 
 def cut(
@@ -46,7 +64,7 @@ def cut(
     """Cut the closed surface of N nodes into at least `count` parts, the largest first.
 
     A fork may fall into more. Where no plane serves, fewer are made, and `Cut.refused` says why. `apart` (N,) marks
-    nodes that a cut keeps two edges away from where another plane allows it: rims of supports and of loads. Of a
+    nodes that a cut keeps `AWAY` from where a plane allows it, else as far as it can: rims of supports. Of a
     rough cut only the pieces of the surface are looked at: its caps are rough and may cross the surface.
     """
     parts, refused = [triangles], ""
@@ -89,10 +107,10 @@ def _halved(points: Array, triangles: Index, apart: Mask | None, is_rough: bool)
     places = arms @ normal
     order = np.argsort(places, kind="stable")
     share = np.cumsum(areas[order]) / areas.sum()
-    near, refused = list[tuple[list[Index], Mask]](), list[CutError]()
+    near, refused = list[tuple[int, list[Index], Mask]](), list[CutError]()
 
     def borders() -> Iterator[tuple[list[Index], Mask]]:
-        """Those that keep away come first."""
+        """Those that keep away come first, the furthest of the others next."""
         for shift in SHIFTS:
             plane = places[order][np.searchsorted(share, 0.5 + shift)]
             try:
@@ -100,11 +118,13 @@ def _halved(points: Array, triangles: Index, apart: Mask | None, is_rough: bool)
             except CutError as error:
                 refused.append(error)
                 continue
-            if apart is not None and _near(triangles, loops, apart, len(points)):
-                near.append((loops, labels))
+            edges = AWAY if apart is None else _edges_to(triangles, loops, apart, len(points))
+            if edges < AWAY:
+                near.append((edges, loops, labels))
             else:
                 yield loops, labels
-        yield from near
+        for _, loops, labels in sorted(near, key=lambda border: -border[0]):
+            yield loops, labels
 
     for loops, labels in borders():
         try:
@@ -114,13 +134,15 @@ def _halved(points: Array, triangles: Index, apart: Mask | None, is_rough: bool)
     raise refused[0]
 
 
-def _near(triangles: Index, loops: list[Index], apart: Mask, n: int) -> bool:
-    """Whether two edges or fewer lead from the loops to a marked node."""
+def _edges_to(triangles: Index, loops: list[Index], apart: Mask, n: int) -> int:
+    """How many edges lead from the loops to a marked node, `AWAY` at most."""
     reached = np.zeros(n, np.bool_)
     reached[np.concatenate(loops)] = True
-    for _ in range(2):
+    for edges in range(AWAY):
+        if (reached[: len(apart)] & apart).any():
+            return edges
         reached[triangles[reached[triangles].any(axis=1)]] = True
-    return bool((reached[: len(apart)] & apart).any())
+    return AWAY
 
 
 def _closed(

@@ -1,13 +1,14 @@
 """A body in parts at small displacements: their stiffnesses add up, and the nodes inside follow.
 
 With A the sum of the parts' S_e at all nodes, each of which swells at no cost, and H_e their area vectors less the
-share V_e / V of the body's, nodes c of the caps and pressures q of all parts but the last follow from what the
-surface o does,
+share V_e / V of the body's, nodes c of the caps and rims and pressures q of the parts follow from what the surface
+o does,
 
 `A_cc u_c - H_c q = -A_co u_o`, `H_c^T u_c = -H_o^T u_o`: parts swell as the body does,
 
-and `A_oo u_o + A_oc u_c - H_o q` is the force on the surface. Of compressible parts each has a pressure, H_e is b
-and `H_c^T u_c + a q = -H_o^T u_o` (`vdm.peers.bem.Swelling`): no more than `S = S_0 + b b^T / a`. No matrix of the
+and `A_oo u_o + A_oc u_c - H_o q` is the force on the surface. Where there are no rims the last of H_e follows from
+the others. Of compressible parts H_e is b and `H_c^T u_c + a q = -H_o^T u_o` (`vdm.peers.bem.Swelling`): no more
+than `S = S_0 + b b^T / a`; rims, which swell by nothing in sum, have a column of their own then. No matrix of the
 whole body is made: caps are few, and free nodes are eliminated part by part.
 """
 
@@ -34,7 +35,13 @@ class JoinedFormulation(BoundaryFormulation):
     has_matrix = False
 
     def __init__(
-        self, whole: BoundaryFormulation, parts: Sequence[Part], shared: Mask, joined: Factor
+        self,
+        whole: BoundaryFormulation,
+        parts: Sequence[Part],
+        shared: Mask,
+        joined: Factor,
+        *,
+        has_rims: bool,
     ) -> None:
         """`shared` (n,) nodes are the parts' C together, `joined` the factor of what those carry at rest."""
         self._parts, self._shared_nodes, self._joined = parts, shared, joined
@@ -49,14 +56,21 @@ class JoinedFormulation(BoundaryFormulation):
             on = np.flatnonzero(part.nodes >= n_surface)
             here, there = (dofs(nodes) for nodes in (on, part.nodes[on] - n_surface))
             own[np.ix_(there, there)] += part.form.swollen_block(here, here)
+        of_body = np.zeros((len(shared), 3, 1))
+        of_body[:n_surface, :, 0] = whole.surface.area_vectors
         if self.is_incompressible:
-            shares = volumes / volumes.sum()
-            self._apart = (columns - columns.sum(axis=2, keepdims=True) * shares)[:, :, :-1]
-            self._give = np.zeros((len(parts) - 1,) * 2)
+            self._apart = columns - of_body * (volumes / volumes.sum())
+            if not has_rims:
+                self._apart = self._apart[:, :, :-1]
+            self._give = np.zeros((self._apart.shape[2],) * 2)
         else:
+            at_rims = columns.sum(axis=2, keepdims=True) - of_body
             for e, part in enumerate(parts):
                 columns[part.nodes, :, e] += part.swelling.beyond
-            self._apart, self._give = columns, np.diag([part.swelling.give for part in parts])
+            self._apart = np.concatenate([columns, at_rims], axis=2) if has_rims else columns
+            give = np.zeros(self._apart.shape[2])
+            give[: len(parts)] = [part.swelling.give for part in parts]
+            self._give = np.diag(give)
         pressed = self._apart[n_surface:].reshape(len(own), -1)
         self._caps = linalg.lu_factor(
             np.block([[own, -pressed], [pressed.T, self._give]]), check_finite=False
@@ -79,9 +93,7 @@ class JoinedFormulation(BoundaryFormulation):
         return np.asarray(self._condensed(force, apart).transpose(2, 0, 1))
 
     def pressure_force(self, pressure: Array) -> Array:
-        """As in `BoundaryFormulation`; caps and compressible parts answer it too."""
-        if self.is_incompressible:
-            return super().pressure_force(pressure)
+        """As in `BoundaryFormulation`; caps, rims and compressible parts answer it too."""
         linear = np.column_stack([self.surface.points, np.ones(len(pressure))])
         fitted = np.linalg.lstsq(linear, pressure, rcond=None)[0]
         force = np.zeros((len(self._shared_nodes), 3))

@@ -13,7 +13,7 @@ the body at X sags into y.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -69,7 +69,7 @@ class Unloaded(Parts):
         self._sag = self.rest - parts.rest
         self._areas = np.concatenate([part.areas for part in parts.parts])[:, None]
         state = self._joint.at(self._sag[self._nodes])
-        self.volumes = np.append(state.volumes(self._first_facet), self._cavities(state)[0])
+        self.volumes = self._kept(state, self._sag)[0]
 
     def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
         """As in `Large`."""
@@ -88,8 +88,7 @@ class Unloaded(Parts):
             n_surface = self.problem.formulation.surface.n_nodes
             springs = self._ground @ (self._sag + x)[:n_surface].reshape(-1)
             lacking[:n_surface] -= springs.reshape(-1, 3)
-        held, filled = self._cavities(rest)
-        grown = np.append(rest.volumes(self._first_facet), held)
+        grown, filled = self._kept(rest, self._sag + x)
         # the row of the state under the load, by its volumes, with the sign and at the volumes of this rest shape
         beyond = np.einsum("nc,nc->n", self._beyond, seen.parts.away + further)
         grown[: self.n_parts] -= np.add.reduceat(beyond, self._first)
@@ -108,7 +107,7 @@ class Unloaded(Parts):
         """As in `Large`."""
         m, k, n, resting = self.n_parts, BORDER, self._n_shared, balance.parts
         turns = resting.seen.parts.turns
-        size = k * m + self._n_filled
+        size = k * m + self._n_further
         kept = self._rows_of_volumes
         target = np.zeros(size)
         target[kept] = -gap * self.volumes
@@ -176,6 +175,7 @@ class Unloaded(Parts):
         pushing = np.concatenate([pressed, -stressed[:, :, :3], -follows, filled], axis=2)
         pressed = (resting.rest.area_vectors[span] @ g + self._beyond[span])[:, :, None]
         filled = np.einsum("nck,cd->ndk", resting.filled[span], g)
+        filled = np.concatenate([filled, self._bulges[span]], axis=2)
         reading = np.concatenate([pressed, turning, stressed[:, :, 3:], filled], axis=2)
         own = np.zeros((BORDER, BORDER))
         own[0, 0] = -self.give[number]
@@ -197,19 +197,19 @@ class Unloading:
 
     Attributes
     ----------
-    seen : (n, 3) positions of all nodes under the load, those of caps last [m]
+    seen : (n, 3) positions of all nodes under the load, those of caps and rims last [m]
     """
 
     def __init__(self, solver: PartsSolver, load: Load) -> None:
         """`solver` of the body as it is seen, which is cut as its load needs."""
         solver.prepare([load], compared=False)
-        self._load, self._parts, self.seen = load, solver.body.cut.parts, solver.body.cut.points
+        self._load, self._cut, self.seen = load, solver.body.cut, solver.body.cut.points
         self._solver = NonlinearSolver(solver.problem, Unloaded(solver.body, self.seen), solver.factor)
         self._step: DeformedStep | None = None
 
     def cut(self, points: Array) -> Cut:
         """The same parts at other positions (n, 3)."""
-        return Cut(points, self._parts)
+        return replace(self._cut, points=points)
 
     def rest(self, solver: PartsSolver) -> Array:
         """(n, 3) points of the rest shape by the stiffnesses of a solver's body, cut as `cut` says [m].

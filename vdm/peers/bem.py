@@ -45,9 +45,9 @@ class BoundaryFormulation(DisplacementFormulation):
     no such constraint; dP is then its mean pressure, `-kappa (sum g_i.u_i) / V`. A cavity that a fluid fills has a
     pressure too, and keeps its volume.
 
-    Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`). Other nodes may be held later, at the
-    mesh's own resolution. Edges between `shared` nodes (N,), which other bodies have too, are not cut. It is
-    as precise as a body of `precise_as` nodes, else of its own.
+    Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`), unless the surface `is_cut` there.
+    Other nodes may be held later, at the mesh's own resolution. It is as precise as a body of `precise_as` nodes,
+    else of its own.
 
     Dense, (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
@@ -74,8 +74,9 @@ class BoundaryFormulation(DisplacementFormulation):
         surface: SurfaceMesh,
         parameters: Parameters,
         held: Mask | None = None,
-        shared: Mask | None = None,
         precise_as: int | None = None,
+        *,
+        is_cut: bool = False,
     ) -> None:
         super().__init__(surface, parameters)
         modulus = parameters.shear_modulus
@@ -83,7 +84,7 @@ class BoundaryFormulation(DisplacementFormulation):
             raise ParameterError(f"the {self.name} formulation needs shear_modulus, one positive number")
         self.shear_modulus = float(modulus)
         self.poisson_ratio = 0.5 if parameters.is_filled else parameters.poisson_ratio
-        self._shared, self._precise_as = shared, precise_as
+        self._precise_as, self._is_cut = precise_as, is_cut
         try:
             self._assemble(np.zeros(surface.n_nodes, np.bool_) if held is None else held)
         except linalg.LinAlgError as error:
@@ -110,7 +111,8 @@ class BoundaryFormulation(DisplacementFormulation):
         compile_for(surface.n_nodes)
 
     def _assemble(self, held: Mask) -> None:
-        self._held, self._rims = held, Rims.of(self.surface, held, self._shared)
+        self._held = held
+        self._rims = Rims.of(self.surface, held & (not self._is_cut))
 
     @cached_property
     def matrix(self) -> Array:
@@ -221,14 +223,25 @@ class BoundaryFormulation(DisplacementFormulation):
         the displacement `-((b . x) x - b |x|^2 / 2) / (3 kappa)`, a strain -p I / (3 kappa): what is left to find
         is a field without a force inside, whose nodal forces are those of p and those of that displacement.
         """
-        force: Array = self.surface.area_vectors * pressure[:, None]
-        if self.is_incompressible:
-            return force
         arms = self.surface.points - self.surface.points.mean(axis=0)
         fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
         slope, mean = fitted[:3], fitted[3]
+        force: Array = self.surface.area_vectors * pressure[:, None] + self.pressed_at_rims() @ slope
+        if self.is_incompressible:
+            return force
         moved = self.squeezed() @ slope - mean * arms / (3.0 * self.bulk_modulus)
         return force + self.elastic_force(moved)
+
+    def pressed_at_rims(self) -> Array:
+        """(N, 3, 3) what the new nodes of rims add to the forces of the pressures x, y, z [N/(Pa/m)]."""
+        body, cut = self.surface, self.resolved
+        if cut is body:
+            return np.zeros((body.n_nodes, 3, 3))
+        middle = body.points.mean(axis=0)
+        of_cut, of_body = (
+            mesh.area_vectors[:, :, None] * (mesh.points - middle)[:, None] for mesh in (cut, body)
+        )
+        return self.carried(of_cut) - of_body
 
     def squeezed(self) -> Array:
         """(N, 3, 3) displacements of the pressures x, y, z about the nodes' mean, over these [m/(Pa/m)]."""
