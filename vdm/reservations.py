@@ -49,7 +49,7 @@ def reserved(
     elif left > LIMIT and isinstance(form, BoundaryFormulation):
         of_parts = parts > mesh
         leave = "parts leave" if of_parts else "mesh leaves"
-        open_ = "displacement or of the change of shape" if of_parts else "displacement"
+        open_ = "displacement" if np.isnan(parts) else "displacement or of the change of shape"
         message = f"the {leave} about {100 * left:.0f} % of the {open_} open"
         remedy = _finer(form, left, "above all at the edges of supports and loads")
         if of_parts:

@@ -149,7 +149,9 @@ def place_indenter(facets: Mask, pushed: IndenterTable, mesh: Mesh, place: Loc) 
         there = Indenter(shape, middle, direction)
         gap = _least_gap(there, mesh.surface_points[triangles].transpose(1, 0, 2))
         if not np.isfinite(gap):
-            raise SceneError("the indenter passes by its region; take a finer mesh", *place)
+            raise SceneError(
+                "the indenter meets no point of its region; take a finer mesh, or another region", *place
+            )
         return PlacedIndenter(Indenter(shape, middle + gap * there.axis, direction), facets, pushed.depth)
     except SolverError as error:
         raise SceneError(f"{error.status.message}; {error.status.remedy}", *place) from None

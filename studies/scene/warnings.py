@@ -80,7 +80,8 @@ def scene_warnings(
         if not total or not size:
             continue  # a smooth profile between nodes, or a scene that is refused
         _, sides = np.unique(np.sort(half_edges(triangles[facets]), axis=1), axis=0, return_counts=True)
-        all_round = (sides == 2).all()  # as the wall of a cavity, under a pressure that is meant so
+        # as the wall of a cavity, under a pressure that is meant so
+        all_round = part.profile == "uniform" and (sides == 2).all()
         if not all_round and areas[pressed @ resultant < 0].sum() > OPPOSED * total:
             yield (
                 loc,

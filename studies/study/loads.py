@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 VERSION = (
-    "3"  # raised whenever a constraint, a profile or a scanned shape changes its numbers; part of all keys
+    "4"  # raised whenever a constraint, a profile or a scanned shape changes its numbers; part of all keys
 )
 PROFILES: dict[str, Callable[[Array], Array]] = {}
 

@@ -296,7 +296,7 @@ def test_an_indenter_never_goes_through_the_surface() -> None:
         assert found.solution.scalars["load_factor"][0] > 0.3
 
 
-def test_an_indenter_behind_the_surface_has_lost_its_contact() -> None:
+def test_an_indenter_behind_the_surface_has_lost_its_contact(monkeypatch: pytest.MonkeyPatch) -> None:
     b, indenter = cube(3), Indenter(Sphere(0.3), TIP, DOWN)
     problem = b.finite(b.bottom, **SOFT)
     contact = RigidContact(problem.mesh, scalar_pattern(problem.mesh), indenter, b.top)
@@ -310,6 +310,9 @@ def test_an_indenter_behind_the_surface_has_lost_its_contact() -> None:
     assert status.code == "passed"
     assert "contact lost" in status.message
     assert "push it in less far" in status.remedy
+    assert problem.indent(indenter, b.top, [0.01]).solution.status[0].ok
+    monkeypatch.setattr(RigidContact, "is_pushed_on", lambda *_: True)  # a balance behind the surface is none
+    assert problem.indent(indenter, b.top, [0.01]).solution.status[0].code == "passed"
 
 
 def test_a_contact_that_the_mesh_does_not_resolve_is_named() -> None:

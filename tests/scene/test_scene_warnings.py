@@ -51,11 +51,14 @@ def found(kind: str, mask: np.ndarray, **keys: Any) -> list[str]:
 
 
 def test_a_pressure_all_round_is_meant_so() -> None:
-    """As the wall of a cavity has it; a wall with a hole presses opposite sides."""
+    """As the wall of a cavity has it; a Hertz contact around a body and a wall with a hole press opposite sides."""
     points, triangles = icosphere(2)
     there = np.ones(len(points), dtype=bool)
     parts = constraints({"kind": "contact", "region": "wall", "pressure": 100.0})
     assert not list(scene_warnings(parts, TISSUE, {"wall": there}, points, triangles))
+    hertz = constraints({"kind": "contact", "region": "wall", "pressure": 100.0, "profile": "hertz"})
+    ((_, text),) = scene_warnings(hertz, TISSUE, {"wall": there}, points, triangles)
+    assert "opposite sides" in text
     there[0] = False
     ((_, text),) = scene_warnings(parts, TISSUE, {"wall": there}, points, triangles)
     assert "opposite sides" in text
