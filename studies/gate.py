@@ -26,6 +26,7 @@ from .measures.metrics import METRICS, Sense, measurement_error
 from .measures.uncertainty import SIGNED
 from .store.plain import StoreError, typed
 from .study.kinds import Enters, safe_name
+from .study.measured import AXES
 from .verdict.acceptance import WORDS
 from .verdict.digest import digest_of
 from .verdict.verdict import verdicts
@@ -127,11 +128,13 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
     names = [name for name in METRICS if sense_of(name) != "descriptive" and name != MEASURED]
     gated = at_full_load(digest.table)
     gated = gated[gated["metric"].isin(names)]
-    measured = digest.table[digest.table["metric"] == MEASURED].dropna(subset=["value"])
-    # at full load, else at the last step at which something was measured
-    measured = measured.sort_values("full_load", kind="stable").drop_duplicates(
-        ["case", "model"], keep="last"
-    )
+    last = {  # step of a case at which points were measured
+        case.hash: max((one.step for one in case.measurement.quantities if one.component in AXES), default=-1)
+        for case in run.cases
+        if case.measurement is not None
+    }
+    measured = digest.table[digest.table["metric"] == MEASURED]
+    measured = measured[measured["step"] == measured["case"].map(last)]
     for rows in (gated, measured):
         for case, model, metric, value in zip(
             *(rows[c] for c in ("case", "model", "metric", "value")), strict=True
@@ -360,8 +363,6 @@ def _compare_case(label: str, was: Baseline, now: Baseline, whose: str) -> Itera
         ][:1]
         for metric, value in values.items():
             if metric not in own:
-                if value is None:
-                    continue
                 yield Finding(MISSING, label, model, metric, why="the run has no such metric")
                 continue
             name = metric.removeprefix(OWN)

@@ -310,9 +310,10 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
     def share(name: str) -> float:
         return digest.usual_share(name) + (bar if name in surface else 0.0)
 
-    best = min([*told, *surface], key=share) if told else elements[0]
+    serving = [name for name in (*told, *surface) if digest.usual_share(name) <= 1.0]
+    best = min(serving or [*told, *surface], key=share) if told else elements[0]
     reference = digest.reference
-    if told and reference is not None and digest.usual_share(best) > 1.0:
+    if told and reference is not None and not serving:
         return Advice(EXACT, "reference", (digest.figures[reference],))
     return Advice(EXACT, "closer surface" if best in surface else "elements", (digest.figures[best],))
 

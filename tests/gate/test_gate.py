@@ -18,6 +18,7 @@ from vdmbench import gate
 from vdmbench.cli.arguments import parse
 from vdmbench.gate import BaselineError, Finding, accept, compare, counts, read_baseline
 from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.measurement import Measurement, Quantity
 from vdmbench.measures.metrics import METRICS
 from vdmbench.store.plain import StoreError
 from vdmbench.study.config import expand, load_study
@@ -154,18 +155,20 @@ def test_what_cannot_be_compared_names_what_changed_and_does_not_pass(now: CaseR
 
 
 def test_an_error_against_a_measurement_counts_at_the_step_that_was_measured() -> None:
-    """Markers seen at half of the load are no failure at full load; of a step that none was seen at, nothing is."""
+    """Markers seen at half of the load are no failure at full load; an answer that no longer gets there is one."""
+    half = CASE.load_factors.tolist().index(0.5)
+    marker = Quantity("tips", "tip", "z", half, 0.01, 1e-4, 0.0)
 
-    def seen(error: float) -> CaseResult:
-        values = np.where(np.isclose(CASE.load_factors, 0.5), error, np.nan)
+    def seen(*errors: float) -> CaseResult:
+        values = np.array([*errors, *[np.nan] * (len(CASE.load_factors) - len(errors))])
         metrics = {name: {**found, gate.MEASURED: values} for name, found in CASE.metrics.items()}
-        return dataclasses.replace(CASE, metrics=metrics)
+        said = dict.fromkeys(CASE.models, 0.01 + values[[half]])
+        return dataclasses.replace(CASE, metrics=metrics, measurement=Measurement([marker], said, said))
 
-    assert 0.5 in CASE.load_factors[:-1]
-    assert one(seen(2e-3), gate.MEASURED, gate.baseline_of(make_run([seen(1e-3)]))).outcome == gate.WORSE
-    assert gate.STILL_FAILING not in counts(
-        findings(seen(np.nan), was=gate.baseline_of(make_run([seen(np.nan)])))
-    )
+    assert half == 1
+    was = gate.baseline_of(make_run([seen(np.nan, 1e-3)]))
+    assert one(seen(np.nan, 2e-3), gate.MEASURED, was).outcome == gate.WORSE
+    assert one(seen(1e-4, np.nan), gate.MEASURED, was).outcome == gate.NEWLY_FAILING
 
 
 def test_nothing_but_nulls_does_not_pass() -> None:
