@@ -220,8 +220,9 @@ class Parts:
         self._inner_part, self._joined_part = (np.repeat(np.arange(self.n_parts), k) for k in (inner, joins))
         self._unknowns = list(zip(self.parts, _spans(3 * inner), _spans(3 * joins), strict=True))
         self._sum, self._join = _summing(self._nodes, n), _summing(self._places, self._n_shared)
-        bulges = np.concatenate([self._bulging(part) for part in self.parts])[:, :, None]
-        self._bulges = bulges if len(self.cut.ends) else bulges[:, :, :0]
+        self._flat = sparse.block_diag(
+            [self._with_flat_rims(part.nodes) for part in self.parts], format="csr"
+        )
         at_rest = np.zeros((n, 3))
         self.volumes = self._kept(self._joint.at(at_rest[self._nodes]), at_rest)[0]
         swellings = [part.swelling for part in self.parts]
@@ -268,7 +269,7 @@ class Parts:
         gap = (grown + self.give * pressure - squeezed) / self.volumes
         internal = np.asarray(self._sum @ turned_back(forces + inward, turns, state, self._spans))
         pushed = (pressure[self._part] + weight)[:, None] * state.area_vectors
-        pushed += filled @ pressure[m : m + self._n_filled]
+        pushed += filled @ pressure[m:]
         for under_rims in self._under_rims:
             pushed += (under_rims @ (turns[0] @ rise[0])) @ turns[0]
         applied = np.asarray(self._sum @ pushed)
@@ -284,9 +285,6 @@ class Parts:
         if self.give.any():
             placed = [self._beyond[span] @ q for span, q in zip(self._spans, turns, strict=True)]
             gradient = gradient + np.concatenate(placed)
-        if len(self.cut.ends):
-            bulging = turned_back(self._bulges[:, :, 0], turns, state, self._spans)
-            filled = np.concatenate([filled, bulging[:, :, None]], axis=2)
         acting = _Acting(
             state, turns, away, energy, on_surface, weight, rise, datum, gradient, inward, squeezed, filled
         )
@@ -309,7 +307,6 @@ class Parts:
     def _inward(self, pressure: Array, rise: Array, turns: Array) -> tuple[Array, Array]:
         """See `_Acting`; and by how much weight alone squeezes the volumes of parts and cavities (m + c,) [m^3]."""
         inward, squeezed = -pressure[self._part][:, None] * self._beyond, np.zeros(len(pressure))
-        inward -= self._bulges @ pressure[self.n_parts + self._n_filled :]
         for e, (pulled, flux) in enumerate(self._squeeze):
             slope = turns[e] @ rise[e]
             inward[self._spans[e]] -= pulled @ slope
@@ -327,17 +324,32 @@ class Parts:
         return np.append(np.arange(0, rows, BORDER), rows + np.arange(self._n_further))
 
     def _kept(self, state: DeformedSurface, x: Array) -> tuple[Array, Array]:
-        """(m + c,) volumes at x (n, 3) that the pressures are of; the gradient (n_p, 3, k) of those of cavities.
+        """(m + c,) volumes at x (n, 3) that the pressures are of; the gradient (n_p, 3, c) of all but the parts'.
 
         That of rims is what the parts have beside the polyhedron of the body's nodes, to which the body's volume at
-        rest is added: its rims bulge by as much as they sink.
+        rest is added: its rims bulge by as much as they sink. Its gradient is that of each part less that of the
+        part with flat rims: the caps' cancel.
         """
         volumes, (held, filled) = state.volumes(self._first_facet), self._cavities(state)
         kept, body = np.append(volumes, held), self.problem.body
         if len(self.cut.ends):
             seen = body.at(x[: body.surface.n_nodes])
             kept = np.append(kept, body.surface.volume + volumes.sum() - seen.volume)
+            flat = self._joint.at(self._flat @ x[self._nodes])
+            bulging = state.area_vectors - self._flat.T @ flat.area_vectors
+            filled = np.concatenate([filled, bulging[:, :, None]], axis=2)
         return kept, filled
+
+    def _with_flat_rims(self, nodes: Index) -> sparse.csr_array:
+        """(n, n) that puts new nodes of a part on the edges that they cut: the polyhedron of its other nodes."""
+        ends, first = self.cut.ends, len(self.free) - len(self.cut.ends)
+        new = np.flatnonzero(nodes >= first)
+        kept = np.flatnonzero(nodes < first)
+        at_ends = np.searchsorted(nodes, ends[nodes[new] - first])
+        shares = np.tile([1.0 - PLACE, PLACE], len(new))
+        rows, columns = np.append(kept, np.repeat(new, 2)), np.append(kept, at_ends)
+        values = np.append(np.ones(len(kept)), shares)
+        return sparse.csr_array((values, (rows, columns)), shape=(len(nodes),) * 2)
 
     def _cavities(self, state: DeformedSurface) -> tuple[Array, Array]:
         """Volumes (k,) of the filled cavities, and their gradient (n_p, 3, k) at the nodes of all parts.
@@ -351,17 +363,6 @@ class Parts:
         corners = state.positions[corner] + self._joint.origin[corner] - self.problem.body.origin
         gradient = [self._joint.gather @ np.ascontiguousarray(-vectors[:, k]) for k in range(self._n_filled)]
         return np.einsum("fkc,fc->k", vectors, corners) / -3.0, np.stack(gradient, axis=2)
-
-    def _bulging(self, part: Part) -> Array:
-        """(n, 3) volume [m^2] that the rims of a part bulge by, over its displacement: beyond their cut edges."""
-        nodes, ends = part.nodes, self.cut.ends
-        first = len(self.free) - len(ends)
-        new = nodes >= first
-        at_ends = np.searchsorted(nodes, ends[nodes[new] - first])
-        vectors = np.where(new[:, None], part.form.surface.area_vectors, 0.0)
-        for end, share in zip(at_ends.T, (1.0 - PLACE, PLACE), strict=True):
-            np.add.at(vectors, end, -share * part.form.surface.area_vectors[new])
-        return vectors
 
     def correction(
         self,
@@ -518,8 +519,7 @@ class Parts:
         pushed = (balance.pressure[number] + acting.weight[span])[:, None] * vectors - acting.inward[span]
         own = part.nodes[part.owns]
         pushed[part.owns] += acting.on_surface[own] @ q.T
-        in_cavities = slice(self.n_parts, self.n_parts + self._n_filled)
-        pushed += acting.filled[span, :, : self._n_filled] @ balance.pressure[in_cavities] @ q.T
+        pushed += acting.filled[span] @ balance.pressure[self.n_parts :] @ q.T
         slope = ((stressed[:, :, 0] - pushed) @ TURNED).reshape(-1, 3, 3) - stressed[:, :, 1:]
         slope -= vectors[:, :, None] * ((q @ acting.rise[number]) @ turned)[:, None, :]
         met = turned.reshape(-1, 3).T @ slope.reshape(-1, 3)

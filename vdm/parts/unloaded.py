@@ -175,7 +175,6 @@ class Unloaded(Parts):
         pushing = np.concatenate([pressed, -stressed[:, :, :3], -follows, filled], axis=2)
         pressed = (resting.rest.area_vectors[span] @ g + self._beyond[span])[:, :, None]
         filled = np.einsum("nck,cd->ndk", resting.filled[span], g)
-        filled = np.concatenate([filled, self._bulges[span]], axis=2)
         reading = np.concatenate([pressed, turning, stressed[:, :, 3:], filled], axis=2)
         own = np.zeros((BORDER, BORDER))
         own[0, 0] = -self.give[number]

@@ -424,7 +424,7 @@ class NonlinearSolver:
         return None, MAX_ITERATIONS, left
 
     def _close_volume(self, load: Load, balance: Balance, turn: Array) -> Balance | None:
-        for _ in range(20):
+        for _ in range(5):
             if np.abs(balance.gap).max() <= VOLUME_TOLERANCE:
                 return balance
             change, pushed = self.body.correction(balance, np.zeros_like(balance.lacking), balance.gap, turn)
