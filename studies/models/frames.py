@@ -63,10 +63,9 @@ def frame_times(
     for _ in range(rounds):
         for name in names:
             start = time.perf_counter()
-            if spent[name] < budget:
-                taken[name].append(one_round(contact, name))
-            elif len(taken[name]) < least:
-                taken[name].append(one_round(contact, name, everywhere=False))
+            is_over = spent[name] >= budget
+            if not is_over or len(taken[name]) < least:
+                taken[name].append(one_round(contact, name, everywhere=not is_over))
             spent[name] += time.perf_counter() - start
     return {name: FrameTimes(*np.array(times).T) for name, times in taken.items()}
 

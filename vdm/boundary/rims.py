@@ -58,16 +58,11 @@ class Rims:
     def of(cls, surface: SurfaceMesh, held: Mask) -> Rims:
         """The surface with its facets between held nodes (N,) and free ones cut in three."""
         n = surface.n_nodes
-        ends, (triangles,) = cut_at_rims(surface.points, [surface.triangles], held)
-        k = len(ends)
-        places = sparse.csr_array(
-            (np.tile([1.0 - PLACE, PLACE], k), ends.reshape(-1), np.arange(0, 2 * k + 1, 2)), shape=(k, n)
-        )
-        shares = sparse.csr_array(sparse.vstack([sparse.eye_array(n), places]))
-        follows = np.zeros((3 * k, 3 * n))
-        if not k:
+        points, (triangles,), ends = cut_at_rims(surface.points, [surface.triangles], held)
+        shares, follows = on_edges(ends, n), np.zeros((3 * len(ends), 3 * n))
+        if not len(ends):
             return cls(surface, surface, shares, follows)
-        return cls(surface, SurfaceMesh(np.asarray(shares @ surface.points), triangles), shares, follows)
+        return cls(surface, SurfaceMesh(points, triangles), shares, follows)
 
     def condensed(self, matrix: Array) -> Array:
         """(3N, 3N) stiffness in 64 bits of one (3(N + k), 3(N + k)), which is used up; new nodes then follow.
@@ -133,8 +128,19 @@ def _without(vectors: Array, basis: Array) -> Array:
     return vectors - basis @ (basis.T @ vectors)
 
 
-def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Index, list[Index]]:
-    """Ends (k, 2), the held one first, of edges between held and free nodes (N,); facets of all bodies, cut there.
+def on_edges(ends: Index, n: int) -> sparse.csr_array:
+    """(n + k, n) that keeps n nodes, and puts k further ones on the edges (k, 2) that they cut."""
+    k = len(ends)
+    places = sparse.csr_array(
+        (np.tile([1.0 - PLACE, PLACE], k), ends.reshape(-1), np.arange(0, 2 * k + 1, 2)), shape=(k, n)
+    )
+    return sparse.csr_array(sparse.vstack([sparse.eye_array(n), places]))
+
+
+def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Array, list[Index], Index]:
+    """Points (N + k, 3) and facets of all bodies, cut at edges between held and free nodes (N,); the edges' ends.
+
+    Of the ends (k, 2) the held one is first.
 
     Edge i gets the node N + i, in all bodies that have it, and a facet that two of them have is cut alike in both.
     """
@@ -150,8 +156,8 @@ def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Ind
     ends = np.stack(np.divmod(found, n), axis=1)
     ends = np.where(held[ends[:, :1]], ends, ends[:, ::-1])
     if not len(ends):
-        return ends, list(bodies)
-    grown = np.vstack([points, (1.0 - PLACE) * points[ends[:, 0]] + PLACE * points[ends[:, 1]]])
+        return points, list(bodies), ends
+    grown = np.asarray(on_edges(ends, n) @ points)
     new = np.where(numbers < 0, -1, n + numbers)
     _, of, uses = np.unique(np.sort(facets, axis=1), axis=0, return_inverse=True, return_counts=True)
     # seen from either side a facet is cut as the one with its nodes in ascending order, but for a cyclic shift
@@ -164,7 +170,7 @@ def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Ind
         mirrored = _cut(t[back][:, ::-1], at[back][:, [1, 0, 2]], grown)[:, ::-1]
         pieces.append(np.concatenate([_cut(t[~back], at[~back], grown), mirrored]))
         start += len(body)
-    return ends, pieces
+    return grown, pieces, ends
 
 
 def _cut(triangles: Index, new: Index, points: Array) -> Index:

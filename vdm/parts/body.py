@@ -27,12 +27,13 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
 from solver_common.arrays import Array, Index, Mask
-from vdm.boundary.rims import PLACE
+from vdm.boundary.rims import on_edges
 from vdm.constraints import Load
 from vdm.deformed import DeformableSurface, DeformedSurface, best_rotation
 from vdm.formulations.base import Factor
@@ -220,11 +221,8 @@ class Parts:
         self._inner_part, self._joined_part = (np.repeat(np.arange(self.n_parts), k) for k in (inner, joins))
         self._unknowns = list(zip(self.parts, _spans(3 * inner), _spans(3 * joins), strict=True))
         self._sum, self._join = _summing(self._nodes, n), _summing(self._places, self._n_shared)
-        self._flat = sparse.block_diag(
-            [self._with_flat_rims(part.nodes) for part in self.parts], format="csr"
-        )
-        at_rest = np.zeros((n, 3))
-        self.volumes = self._kept(self._joint.at(at_rest[self._nodes]), at_rest)[0]
+        at_rest = np.zeros((len(self._nodes), 3))
+        self.volumes = self._kept(self._joint.at(at_rest), at_rest)[0]
         swellings = [part.swelling for part in self.parts]
         self._beyond = np.concatenate([one.beyond for one in swellings])
         self.give = np.append([one.give for one in swellings], np.zeros(self._n_further))
@@ -259,7 +257,7 @@ class Parts:
         placed = [state.positions[span] @ q.T for span, q in zip(self._spans, turns, strict=True)]
         away = np.concatenate(placed) - self._joint.rest
         forces = np.concatenate([part.form.swollen_force(away[span]) for part, span in self._each()])
-        kept, filled = self._kept(state, x)
+        kept, filled = self._kept(state, x[self._nodes])
         volumes, grown = kept[:m], kept - self.volumes
         grown[:m] += np.add.reduceat(np.einsum("nc,nc->n", self._beyond, away), self._first)
         energy = 0.5 * float(np.vdot(away, forces))
@@ -323,33 +321,29 @@ class Parts:
         rows = BORDER * self.n_parts
         return np.append(np.arange(0, rows, BORDER), rows + np.arange(self._n_further))
 
-    def _kept(self, state: DeformedSurface, x: Array) -> tuple[Array, Array]:
-        """(m + c,) volumes at x (n, 3) that the pressures are of; the gradient (n_p, 3, c) of all but the parts'.
+    def _kept(self, state: DeformedSurface, moved: Array) -> tuple[Array, Array]:
+        """(m + c,) volumes that the pressures are of; the gradient (n_p, 3, c) of all but the parts'.
 
-        That of rims is what the parts have beside the polyhedron of the body's nodes, to which the body's volume at
-        rest is added: its rims bulge by as much as they sink. Its gradient is that of each part less that of the
-        part with flat rims: the caps' cancel.
+        That of rims is what the parts, of which the nodes `moved` (n_p, 3), have beside those with flat rims, to
+        which the body's volume at rest is added: its rims bulge by as much as they sink.
         """
         volumes, (held, filled) = state.volumes(self._first_facet), self._cavities(state)
-        kept, body = np.append(volumes, held), self.problem.body
+        kept = np.append(volumes, held)
         if len(self.cut.ends):
-            seen = body.at(x[: body.surface.n_nodes])
-            kept = np.append(kept, body.surface.volume + volumes.sum() - seen.volume)
-            flat = self._joint.at(self._flat @ x[self._nodes])
+            flat = self._joint.at(self._flat @ moved)
+            beside = volumes.sum() - flat.volumes(self._first_facet).sum()
+            kept = np.append(kept, self.problem.body.surface.volume + beside)
             bulging = state.area_vectors - self._flat.T @ flat.area_vectors
             filled = np.concatenate([filled, bulging[:, :, None]], axis=2)
         return kept, filled
 
-    def _with_flat_rims(self, nodes: Index) -> sparse.csr_array:
-        """(n, n) that puts new nodes of a part on the edges that they cut: the polyhedron of its other nodes."""
-        ends, first = self.cut.ends, len(self.free) - len(self.cut.ends)
-        new = np.flatnonzero(nodes >= first)
-        kept = np.flatnonzero(nodes < first)
-        at_ends = np.searchsorted(nodes, ends[nodes[new] - first])
-        shares = np.tile([1.0 - PLACE, PLACE], len(new))
-        rows, columns = np.append(kept, np.repeat(new, 2)), np.append(kept, at_ends)
-        values = np.append(np.ones(len(kept)), shares)
-        return sparse.csr_array((values, (rows, columns)), shape=(len(nodes),) * 2)
+    @cached_property
+    def _flat(self) -> sparse.csr_array:
+        """(n_p, n_p) that puts the new nodes of rims on the edges that they cut."""
+        n = len(self.free)
+        placed = on_edges(self.cut.ends, n - len(self.cut.ends))
+        whole = sparse.csr_array((placed.data, placed.indices, placed.indptr), shape=(n, n))
+        return sparse.block_diag([whole[part.nodes][:, part.nodes] for part in self.parts], format="csr")
 
     def _cavities(self, state: DeformedSurface) -> tuple[Array, Array]:
         """Volumes (k,) of the filled cavities, and their gradient (n_p, 3, k) at the nodes of all parts.

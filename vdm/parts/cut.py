@@ -13,7 +13,7 @@ import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
 from solver_common.closed_surfaces import closed_pieces, crossings, solid_angles
-from vdm.boundary.rims import PLACE, cut_at_rims
+from vdm.boundary.rims import cut_at_rims
 from vdm.parts.caps import CutError, cap, nearest
 
 # places of the plane that are tried, as a share of the area beside the middle
@@ -53,9 +53,8 @@ class Cut:
         that of the whole body, whose rims only keep the sum.
         """
         known = np.append(held, np.zeros(len(self.points) - len(held), np.bool_))
-        ends, parts = cut_at_rims(self.points, self.parts, known)
-        new = (1.0 - PLACE) * self.points[ends[:, 0]] + PLACE * self.points[ends[:, 1]]
-        return Cut(np.vstack([self.points, new]), tuple(parts), self.refused, ends, self.parts)
+        points, parts, ends = cut_at_rims(self.points, self.parts, known)
+        return Cut(points, tuple(parts), self.refused, ends, self.parts)
 
 
 def cut(

@@ -69,7 +69,7 @@ class Unloaded(Parts):
         self._sag = self.rest - parts.rest
         self._areas = np.concatenate([part.areas for part in parts.parts])[:, None]
         state = self._joint.at(self._sag[self._nodes])
-        self.volumes = self._kept(state, self._sag)[0]
+        self.volumes = self._kept(state, self._sag[self._nodes])[0]
 
     def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
         """As in `Large`."""
@@ -88,7 +88,7 @@ class Unloaded(Parts):
             n_surface = self.problem.formulation.surface.n_nodes
             springs = self._ground @ (self._sag + x)[:n_surface].reshape(-1)
             lacking[:n_surface] -= springs.reshape(-1, 3)
-        grown, filled = self._kept(rest, self._sag + x)
+        grown, filled = self._kept(rest, (self._sag + x)[self._nodes])
         # the row of the state under the load, by its volumes, with the sign and at the volumes of this rest shape
         beyond = np.einsum("nc,nc->n", self._beyond, seen.parts.away + further)
         grown[: self.n_parts] -= np.add.reduceat(beyond, self._first)
