@@ -29,9 +29,9 @@ def test_a_run_with_nothing_to_do_measures_a_time_that_decides_and_no_other(
     asked: list[str] = []
     real = frames.one_round
 
-    def seen(scene: Scene, name: str) -> tuple[float, float, float]:
+    def seen(scene: Scene, name: str, *, everywhere: bool) -> tuple[float, float, float]:
         asked.append(name)
-        return real(scene, name)
+        return real(scene, name, everywhere=everywhere)
 
     monkeypatch.setattr(frames, "one_round", seen)
     plan = plan_of(tmp_path / "run", cache, **LIMITED)
