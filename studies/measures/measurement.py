@@ -193,6 +193,16 @@ class Measurement:
         """(Q,) whether |E| <= u_val."""
         return np.asarray(np.abs(self.error(name)) <= self.uncertainty(name))
 
+    def as_good_as(self, name: str, other: str) -> Mask:
+        """(Q,) whether an answer is within u_num of another one, whose u_num is known; whatever was measured."""
+        apart = np.abs(self.simulated[name] - self.simulated[other])
+        return np.asarray(apart <= self.numerical[other])
+
+    @property
+    def with_levels(self) -> list[str]:
+        """Names with a u_num."""
+        return [name for name, known in self.numerical.items() if np.isfinite(known).any()]
+
 
 def hold_against(
     study: Study,

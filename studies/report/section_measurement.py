@@ -71,6 +71,16 @@ def _summary(digest: Digest, found: Measurement, number: int, unit: str) -> Tabl
             return Cell("no answer", tone="bad")
         return Cell(f"{inside} of {count}", value=inside, tone="" if inside == count else "bad")
 
+    def beside(other: str) -> Callable[[str], Cell | None]:
+        def of(name: str) -> Cell | None:
+            both = np.intersect1d(rows(name), rows(other))
+            if name == other or not len(both):
+                return None
+            inside = int(found.as_good_as(name, other)[both].sum())
+            return Cell(f"{inside} of {len(both)}", value=inside)
+
+        return of
+
     def share(name: str) -> Cell:
         size = used(name, found.values)
         ratio = used(name, found.error(name)) / size if size else math.nan
@@ -89,6 +99,7 @@ def _summary(digest: Digest, found: Measurement, number: int, unit: str) -> Tabl
     fields = [
         Field("Model", lambda name: Cell(name, "came with the measurement" if name in found.others else "")),
         Field("Within u_val", within, "#"),
+        *(Field(f"Within u_num of {other}", beside(other), "#") for other in found.with_levels),
         Field(
             "rms of E",
             lambda name: used(name, found.error(name)),

@@ -116,6 +116,9 @@ def test_error_and_uncertainty_by_hand(tmp_path: Path) -> None:
     )
     assert_allclose(found.uncertainty("b"), np.hypot([1e-4, 2e-4, 2e-4], [gci, 0, gci]), rtol=1e-6)
     assert found.within("b").tolist() == [True, False, False]
+    assert found.with_levels == ["a", "b"]
+    assert found.as_good_as("b", "a").all(), "u_num of the coarse one has their distance in it"
+    assert found.as_good_as("a", "b").tolist() == [False, True, False]
     assert found.others == ("COMSOL",)
     assert_allclose(found.error("COMSOL"), [-1e-4, np.nan, np.nan], rtol=1e-9)
     expected = [np.sqrt((1.0**2 + 2.55**2) / 2) * 1e-3, 0.05e-3]
