@@ -60,20 +60,23 @@ def ran(
     if changes or name:
         wanted = {"study": {"name": name or study}, **(changes or {})}
         text = tomli_w.dumps(merged(tomllib.loads(text), wanted))
-    return ran_text(text, name or study, surface=surface, codes=codes, called=study)
+    given = ("--surface", surface) if surface else ()
+    return ran_text(text, name or study, *given, codes=codes, called=study)
 
 
 def ran_text(
-    text: str, name: str, *, surface: Path | None = None, codes: tuple[int, ...] = (0,),
-    called: str = "", files: Iterable[Path] = (),
+    text: str, name: str, *given: str | Path, codes: tuple[int, ...] = (0,), called: str = "",
+    files: Iterable[Path] = (),
 ) -> Run:  # fmt: skip
-    """A study given as text, run in `results/runs/NAME` with `files` and what shipped studies read beside it."""
+    """A study given as text, run in `results/runs/NAME` with `files` and what shipped studies read beside it.
+
+    `given` are further words of the command.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{called or Path(name).name}.toml"
         path.write_text(text, encoding="utf-8")
         for data in (*CASES.glob("*.csv"), *files):
             shutil.copy(data, folder)
-        given = ["--surface", surface] if surface else []
         finished("run", path, *given, "--out", RUNS / name, "--jobs", "1", codes=codes)
     return read_run(RUNS / name)
 

@@ -7,17 +7,12 @@ frames of a body in parts take.
 from __future__ import annotations
 
 import math
-import resource
-import signal
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
-from multiprocessing import get_context
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import gmsh
 import numpy as np
@@ -32,16 +27,12 @@ from vdm.parts.solve import PartsSolver
 from vdm.problem import Step
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
-from vdmbench.body.refine import refined
-from vdmbench.body.surface_measures import Surface, relative_l2
 from vdmbench.machine import cache_directory
-from vdmbench.measures.case import CaseResult
-from vdmbench.measures.frame import series
-from vdmbench.measures.reference import level_scene, own_error, restricted
+from vdmbench.measures.case import CaseResult, Run
+from vdmbench.measures.frame import series, where_reached
+from vdmbench.measures.metrics import VECTOR
 from vdmbench.measures.uncertainty import reference_bar
-from vdmbench.models import Prepared
-from vdmbench.models.frames import contact_frame, median_seconds, pressure_everywhere
-from vdmbench.scene.result import ModelResult
+from vdmbench.models.frames import pressure_everywhere
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import Study
 from vdmbench.study.files import merged
@@ -138,142 +129,70 @@ def parts_page(lines: Sequence[Sequence[str]]) -> str:
 # --- costs ---
 
 
-class Cost(NamedTuple):
-    """What a form answers on a surface and takes, in seconds of processor time.
-
-    `contact` is a frame of the contact by its columns, NaN where there are none; `whole` all of set-up, answers and
-    what is told of their errors.
-    """
-
-    surface: Surface
-    result: ModelResult
-    contact: float
-    whole: float
-
-
-def cost(given: Mapping[str, Any], level: int) -> Cost:
-    """Of a study's only model on its mesh split so often; in a process of its own.
-
-    Raises
-    ------
-    MemoryError, TimeoutError
-        what takes more than the limits of the entry.
-    """
-
-    def too_long(*_: object) -> None:
-        raise TimeoutError(f"more than {COSTS['seconds'] / 60:.0f} minutes")
-
-    signal.signal(signal.SIGXCPU, too_long)
-    resource.setrlimit(resource.RLIMIT_CPU, (COSTS["seconds"], COSTS["seconds"] + 60))
-    resource.setrlimit(resource.RLIMIT_AS, (int(COSTS["bytes"]),) * 2)
-    time.perf_counter = time.thread_time  # the clock that models read: others take none of it
-    study, whole_mesh = body(given)
-    (model,) = study.study.models
-    hierarchy = refined(whole_mesh, level)
-    mesh, scene = hierarchy.meshes[0], level_scene(study, hierarchy)
-    start = time.thread_time()
-    prepared = Prepared(scene, model, len(scene.load_factors))
-    result = restricted(prepared.answer(scene.loads), hierarchy)
-    whole = time.thread_time() - start
-    contact, problem = math.nan, prepared.set_up.problem if prepared.set_up else None
-    if problem is not None and not model.startswith("fem"):
-        frame, pressure = contact_frame(problem, scene), scene.contact_pressure[scene.contact]
-        frame(pressure)
-        frame(pressure)  # shortens the columns
-        contact = median_seconds(lambda: frame(pressure))
-    return Cost(Surface(mesh.surface_points, mesh.triangles), result, contact, whole)
-
-
-def body(given: Mapping[str, Any]) -> tuple[Study, Mesh]:
-    """A study, by its tables, and its mesh."""
-    study = Study.model_validate(given)
-    return study, mesh_from_cache(study.geometry, cache_directory())
-
-
-def measured(given: Mapping[str, Any], level: int = 0) -> Cost | str:
-    """The cost of a study's only model, or why there is none."""
-    print(*given["study"]["models"], given.get("vdm", ""), level, file=sys.stderr)
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        try:
-            found = pool.submit(cost, given, level).result()
-        except TimeoutError as error:
-            return f"{error}"
-        except MemoryError:
-            return f"more than {COSTS['bytes'] / 1e9:.0f} GB"
-        except BrokenProcessPool:
-            return "its process was killed"
-    status = found.result.status[0]
-    return found if status.ok else status.message
-
-
-def costs_of(size: str) -> Iterator[list[str]]:
-    """The lines of one mesh: every form beside `fem-linear` at a thousandth of the load and `fem` at all of it."""
-    factors = COSTS["factors"]
-
-    def asked(model: str, factors: Sequence[float], **vdm: int) -> dict[str, Any]:
-        own = {"models": [model]}, {"mesh_size": size}, {"factors": factors}, vdm
-        return merged(COSTS["study"], dict(zip(("study", "geometry", "load", "vdm"), own, strict=True)))
-
-    nodes = str(len(body(asked("bem", factors))[1].surface_nodes))
-    references = list[list[Cost]]()
-    for model, at in (("fem-linear", factors[:1]), ("fem", factors[:2])):
-        levels = levels_of(asked(model, at))
-        if isinstance(levels, str):
-            yield [nodes, model, NOTHING, levels, *[NOTHING] * 7]
-        references.append([] if isinstance(levels, str) else levels)
-    for model, _, parts in (form.partition("/") for form in COSTS["forms"]):
-        found = measured(asked(model, factors, **({"parts": int(parts)} if parts else {})))
-        if isinstance(found, str):
-            yield [nodes, model, parts or "1", found, *[NOTHING] * 7]
-            continue
-        result = found.result
-        errors = [
-            error_of(result.displacement[at], levels, found.surface, at)
-            for at, levels in enumerate(references)
-        ]
-        first, *frames = result.seconds_per_step[1:]
-        seconds = (found.contact, first, float(np.median(frames)), found.whole)
-        contact, answer, frame, whole = (quantity(taken, "s") for taken in seconds)
-        about = [quantity(result.seconds_setup, "s"), quantity(result.peak_bytes, "B")]
-        yield [nodes, model, parts or "1", *about, contact, errors[0], answer, frame, errors[1], whole]
-
-
 def costs(arguments: Sequence[str]) -> Iterator[list[str]]:
-    """The lines of all meshes, or of those of the sizes that are named."""
-    for size in arguments or COSTS["sizes"]:
-        yield from costs_of(size)
+    """A line for each mesh, or those of the sizes that are named, and each form."""
+    for size, form in product(arguments or COSTS["sizes"], COSTS["forms"]):
+        yield costs_row(size, form)
+
+
+def costs_row(size: str, form: str) -> list[str]:
+    """What a form takes for all loads; its errors: at the first beside `fem-linear`, at the second beside `fem`."""
+    model, _, parts = form.partition("/")
+    small, full, *_ = factors = COSTS["factors"]
+    alone = costs_run(size, form, factors)
+    ended = [one["message"] for one in alone.failed]
+    ended += [one.message for case in alone.cases for one in case.models[model].status if not one.ok]
+    if not alone.cases:
+        _, mesh = body({"study": {"models": [model]}, "geometry": {"mesh_size": size}})
+    about = [str(len(alone.cases[0].points if alone.cases else mesh.surface_nodes)), model, parts or "1"]
+    if ended:
+        return [*about, ended[0], *[NOTHING] * 6]
+    result = alone.cases[0].models[model]
+    _, first, *frames = result.seconds_per_step
+    of_contact = np.median(result.frames.contact) if result.frames is not None else math.nan
+    seconds = (result.seconds_setup, of_contact, first, np.median(frames))
+    set_up, contact, first, frame = (quantity(float(taken), "s") for taken in seconds)
+    errors = [costs_error(size, form, *held) for held in (("fem-linear", small), ("fem", full))]
+    memory = quantity(result.peak_bytes, "B")
+    return [*about, set_up, memory, contact, errors[0], first, frame, errors[1]]
+
+
+def costs_error(size: str, form: str, reference: str, factor: float) -> str:
+    """Of a form in displacement, ± the reference's own; NOTHING beside one that is too costly on this mesh."""
+    levels = COSTS["sizes"][size].get(reference)
+    for case in costs_run(size, form, [factor], reference, levels).cases if levels else ():
+        off = where_reached(case, form.partition("/")[0], VECTOR)
+        own = reference_bar(case.reference_error, VECTOR)
+        if math.isfinite(off):
+            return f"{as_per_cent(off)} ± {as_per_cent(own) if math.isfinite(own) else '?'}"
+    return NOTHING
+
+
+def costs_run(size: str, form: str, factors: Sequence[float], reference: str = "", levels: int = 1) -> Run:
+    """A form on a mesh at some loads, alone or beside a reference on so many mesh levels."""
+    model, _, parts = form.partition("/")
+    name = "-".join(filter(None, (model, parts, reference, size))).translate(str.maketrans(": ", "--"))
+    asked: dict[str, Any] = {"study": {"name": name, "models": [model]}, "geometry": {"mesh_size": size}}
+    asked["load"] = {"factors": factors}
+    if parts:
+        asked["vdm"] = {"parts": int(parts)}
+    if reference:
+        asked["study"] |= {"models": [model, reference], "reference": reference}
+    if levels > 1:
+        asked["uncertainty"] = {"levels": levels}
+    given = ("--timeout", str(COSTS["seconds"]))
+    return ran_text(tomli_w.dumps(merged(COSTS["study"], asked)), f"costs/{name}", *given, codes=(0, 3))
+
+
+def body(changes: Mapping[str, Any]) -> tuple[Study, Mesh]:
+    """The study of the costs with changes, and its mesh."""
+    study = Study.model_validate(merged(COSTS["study"], changes))
+    return study, mesh_from_cache(study.geometry, cache_directory())
 
 
 def costs_page(lines: Sequence[Sequence[str]]) -> str:
     """The coarsest mesh first."""
     return table(COSTS["head"], sorted(lines, key=lambda line: int(line[0])))
-
-
-def levels_of(given: Mapping[str, Any]) -> list[Cost] | str:
-    """A reference on the mesh split once, where eight times the cost is within limits, and on the mesh itself.
-
-    Or why there is none.
-    """
-    own = measured(given)
-    if isinstance(own, str):
-        return own
-    fits = 8 * own.whole < COSTS["seconds"] and 8 * own.result.peak_bytes < COSTS["bytes"]
-    split = measured(given, 1) if fits else ""
-    return [own] if isinstance(split, str) else [split, own]
-
-
-def error_of(u: np.ndarray, levels: Sequence[Cost], surface: Surface, step: int) -> str:
-    """Of a displacement (N, 3) against the finest of some levels at a step, ± that one's own."""
-    if not np.isfinite(u).all():
-        return "no balance"
-    if not levels:
-        return NOTHING
-    factors = np.array(COSTS["factors"][: len(levels[0].result.displacement)])
-    off = relative_l2(u, levels[0].result.displacement[step], surface.areas)
-    if len(levels) == 1:
-        return f"{as_per_cent(off)} ± ?"
-    own = own_error(surface, [level.result for level in levels], factors)
-    return f"{as_per_cent(off)} ± {as_per_cent(own['gci:relative_l2_displacement_error'])}"
 
 
 # --- frames ---
@@ -285,7 +204,7 @@ def frames(_: Sequence[str]) -> Iterator[list[str]]:
     One after another, without what is told of an answer's errors, which a history asks for after each.
     """
     own = EVIDENCE["frames"]
-    study, mesh = body(merged(COSTS["study"], own["study"]))
+    study, mesh = body(own["study"])
     scene, weight = build_scene(study, mesh), np.array([0.0, 0.0, -9.81])
     everywhere = pressure_everywhere(scene)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -105,16 +106,41 @@ def test_rows_of_what_was_not_measured_anew_stay(tmp_path: Path) -> None:
     assert evidence.kept(str(place), ["body", "x"], [["a", "3"]]) == [["a", "3"], ["b", "2"]]
 
 
-def test_a_reference_that_fails_is_a_line_of_the_costs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        trial, "measured", lambda given: f"{given['study']['models'][0]} takes more than 12 GB"
-    )
-    lines = list(trial.costs(["20 mm"]))
-    assert {len(line) for line in lines} == {len(trial.COSTS["head"])}
-    assert [line[3] for line in lines[:2]] == [
-        f"{name} takes more than 12 GB" for name in ("fem-linear", "fem")
+def test_a_form_is_timed_alone_and_held_against_references_that_have_room(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[str] = []
+
+    def ran(text: str, name: str, *given: str, codes: tuple[int, ...]) -> evidence.Run:
+        study = tomllib.loads(text)
+        model, *reference = study["study"]["models"]
+        asked.append(f"{name.removeprefix('costs/')} {study.get('uncertainty', {}).get('levels', 1)}")
+        assert codes == (0, 3)
+        assert given == ("--timeout", "600")
+        if study.get("vdm") == {"parts": 8}:
+            failed = {"hash": "0", "label": "", "code": "timeout", "message": "stopped", "remedy": ""}
+            return dataclasses.replace(make_run([]), failed=[failed])
+        own = {"gci:relative_l2_displacement_error": 0.017} if "uncertainty" in study else {}
+        case = make_case(
+            {model: 0.013},
+            steps=study["load"]["factors"],
+            reference=reference[0] if reference else None,
+            reference_error=own,
+        )
+        return make_run([case])
+
+    monkeypatch.setattr(trial, "ran_text", ran)
+    head = trial.COSTS["head"]
+    row = dict(zip(head, trial.costs_row("4.4 mm", "bem:nonlinear/4"), strict=True))
+    assert asked == [
+        "bem-nonlinear-4-4.4-mm 1",
+        "bem-nonlinear-4-fem-linear-4.4-mm 2",
+        "bem-nonlinear-4-fem-4.4-mm 1",
     ]
-    assert len(lines) == 2 + len(trial.COSTS["forms"])
+    assert [row[key] for key in ("parts", "small strain", "large rotation")] == ["4", "1.3 ± 1.7", "1.3 ± ?"]
+    assert [row[key] for key in ("set-up", "frame, contact", "frame")] == ["20.0 ms", "–", "400 µs"]
+    assert trial.costs_row("1.98 mm", "bem-sparse")[-1] == "–", "no room for fem there"
+    assert trial.costs_row("7.8 mm", "bem:nonlinear/8")[3:] == ["stopped", *["–"] * 6]
 
 
 def ladder_run(*, wrong: float) -> evidence.Run:
