@@ -94,8 +94,9 @@ def state(mesh, displacement, young, nu):
 
     rest = edges(mesh.points)
     volume, inverse = np.linalg.det(rest) / 6.0, np.linalg.inv(rest)
-    deformation = np.swapaxes(inverse @ edges(mesh.points + displacement), 1, 2)
-    strain = 0.5 * (np.swapaxes(deformation, 1, 2) @ deformation - np.eye(3))
+    gradient = np.swapaxes(inverse @ edges(displacement), 1, 2)  # not F: at rest nothing is left of rounding
+    turned = np.swapaxes(gradient, 1, 2)
+    deformation, strain = np.eye(3) + gradient, 0.5 * (gradient + turned + turned @ gradient)
     trace = np.trace(strain, axis1=1, axis2=2)
     energy = mu * np.einsum("eij,eij->e", strain, strain) + 0.5 * lame * trace**2
     first = deformation @ (2.0 * mu * strain + lame * trace[:, None, None] * np.eye(3))

@@ -63,9 +63,8 @@ class Pushed:
         self.constraint, self._mask, self._surface = constraint, mask, surface
         self._factors = factors
         self._rests = study.gravity is None or not any(study.gravity.acceleration)
-        smooth = constraint.kind == "contact" and constraint.profile not in (None, "uniform")
-        # what a pressure of another profile amounts to hangs on its place
-        self.unit = "Pa" if smooth and constraint.force is None else "N"
+        # a pressure's resultant hangs on the mesh, and is none of a pressure from all sides
+        self.unit = "Pa" if constraint.kind == "contact" and constraint.force is None else "N"
 
     @classmethod
     def on(cls, study: Study, mesh: Mesh, name: str) -> Pushed:
@@ -76,14 +75,13 @@ class Pushed:
         return cls(study, constraint, mask, surface, np.array(study.load.history))
 
     def curve(self, answer: Answer) -> tuple[Array, Array]:
-        """(S,) depths [m] and (S,) forces [N], or pressures [Pa]; NaN where the answer does not tell."""
+        """(S,) depths [m] and (S,) forces [N], of what is given by its pressure pressures [Pa].
+
+        NaN where the answer does not tell.
+        """
         given = {**self.constraint.model_dump(exclude_none=True), **self._changed(answer)}
         if self.constraint.kind == "contact":
-            size = given["pressure"] if self.unit == "Pa" else given.get("force")
-            if size is None:  # the resultant of a uniform pressure
-                facets = self._surface.triangles[self._mask[self._surface.triangles].all(axis=1)]
-                vectors = facet_area_vectors(self._surface.points, facets)
-                size = float(given["pressure"] * np.linalg.norm(vectors.sum(axis=0)))
+            size = given["pressure" if self.unit == "Pa" else "force"]
             # inwards along the normal, of the node in contact that moves farthest
             normals = self._surface.normals[self._mask]
             inward = -np.einsum("sij,ij->si", answer.displacement[:, self._mask], normals)
@@ -106,6 +104,10 @@ class Pushed:
         NaN beyond the deepest step, but of a linear answer of a body that rests without load.
         """
         depths, forces = self.curve(answer)
+        if self.unit == "Pa":  # a uniform one: of any other the study's checks refuse a measured force
+            facets = self._surface.triangles[self._mask[self._surface.triangles].all(axis=1)]
+            vectors = facet_area_vectors(self._surface.points, facets)
+            forces = forces * float(np.linalg.norm(vectors.sum(axis=0)))
         solved = np.cumprod(np.isfinite(depths) & np.isfinite(forces)).astype(bool)  # up to where it stopped
         depths, forces = depths[solved], forces[solved]
         if self._rests:

@@ -75,6 +75,21 @@ class Shortfall:
         """Displacement error and error in change of shape; NaN where there is none."""
         return {c.key: self._at(model, c, step) for c in self.digest.criteria[:2]}
 
+    def mesh_part(self, step: int | None = None) -> float:
+        """How much of what is broken the mesh takes: what the reference's own model has there, or what the model
+        itself says that its mesh leaves open, as a share of its error.
+        """
+        own = self.mesh_error(step) * self.part(self.model, step)
+        return max(self.part(self.digest.coarse_reference, step), own)
+
+    def mesh_error(self, step: int | None = None) -> float:
+        """Share of the model's error that its `mesh_error` or `shape_error` are; 0 of a model without them."""
+        result, at = self.case.models[self.model], self.case.full_load if step is None else step
+        errors = list(self.errors(self.model, step).values())
+        over = {"mesh_error": errors[0], "shape_error": max(errors)}  # the latter is that of either
+        shares = [result.scalars[key][at] / over[key] for key in over if key in result.scalars]
+        return min(1.0, max(filter(math.isfinite, shares), default=0.0))
+
     @cached_property
     def elements(self) -> str | None:
         """Elements that solve the linear problem and are held against the reference; the model itself may be."""
@@ -140,14 +155,14 @@ def the_model(shortfall: Shortfall) -> Iterator[Reason]:
     model, step = shortfall.model, shortfall.small_step
     grows = shortfall.finite_strain or not is_linear(model)
     if grows and step is not None:
-        if shortfall.part(model, step) >= HALF:
+        if shortfall.part(model, step) - shortfall.mesh_part(step) >= HALF:
             yield Reason(MODEL, shortfall.errors(model, step), shortfall.load)
         return
     elements = shortfall.elements if grows and is_linear(model) else None
     if grows and elements is None:
         return
-    others = (shortfall.digest.coarse_reference, shortfall.without_inclusions, elements)
-    if shortfall.part(model) - max(map(shortfall.part, others)) >= HALF:
+    others = max(map(shortfall.part, (shortfall.without_inclusions, elements)))
+    if shortfall.part(model) - max(shortfall.mesh_part(), others) >= HALF:
         yield Reason(MODEL, shortfall.errors(model), {"elements": elements} if elements else {})
 
 
@@ -190,10 +205,12 @@ def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
-    """The reference's own elements on the mesh that the model has."""
+    """The reference's own elements on the model's mesh, else what this leaves open by the model's own measure."""
     coarse = shortfall.digest.coarse_reference
     if coarse is not None and shortfall.part(coarse) >= HALF:
         yield Reason(MESH, shortfall.errors(coarse), {"elements": coarse})
+    elif shortfall.mesh_part() >= HALF:
+        yield Reason(MESH, {"share": shortfall.mesh_error()})
 
 
 def the_reference(shortfall: Shortfall) -> Iterator[Reason]:

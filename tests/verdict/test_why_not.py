@@ -189,6 +189,27 @@ def test_the_mesh_is_told_by_the_references_own_model_on_it(coarse: float, by_me
         assert both(found[MESH]) == pytest.approx((0.08, 0.08), rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("scalar", "left", "kinds"),
+    [
+        ("mesh_error", 0.15, {MESH}),
+        ("shape_error", 0.15, {MESH}),
+        ("mesh_error", 0.01, {MODEL}),
+        ("", 0.15, {MODEL}),
+    ],
+)
+@pytest.mark.parametrize("reference", ["fem", "fem-linear"])  # by the smallest load, or at any
+def test_the_mesh_is_told_by_what_the_model_says_that_it_leaves_open(
+    scalar: str, left: float, kinds: set[str], reference: str
+) -> None:
+    far = growing({"bem": (0.13, 0.13, 0.13)}, reference=reference)
+    own = dataclasses.replace(far.models["bem"], scalars={scalar: np.full(3, left)} if scalar else {})
+    found = causes(make_run([dataclasses.replace(far, models={**far.models, "bem": own})]), "bem")
+    assert found.keys() == kinds
+    if MESH in kinds:
+        assert found[MESH].numbers == {"share": 1.0}
+
+
 def test_the_references_bar_is_told_where_it_decides() -> None:
     open_ = make_case({"vdm-vector": 0.095}, reference_error=OFF_BY | {"levels": 2.0}, subdivisions=0)
     assert causes(make_run([open_]))[REFERENCE].numbers == {
