@@ -26,7 +26,6 @@ from .measures.uncertainty import reference_bar
 from .scene.result import ModelResult
 from .scene.scene import Scene, build_scene
 from .study.errors import InputError
-from .study.fields import unit_of
 from .study.registry import is_surface
 from .study.schema import VdmTable
 from .verdict.formatting import NOT_MEASURED, NOTHING, percent, quantity
@@ -401,9 +400,7 @@ def table(fits: Sequence[Fit]) -> list[dict[str, str]]:
     elsewhere = dict.fromkeys(study for fit in fits for study in fit.transfer)
     rows = []
     for fit in fits:
-        values = (
-            f"{key} {quantity(value, unit_of(VdmTable(), key))}" for key, value in fit.parameters.items()
-        )
+        values = (f"{key} {quantity(value, VdmTable.unit(key))}" for key, value in fit.parameters.items())
         # other studies need not have all the models
         there = {
             f"on {study}": in_percent(fit.transfer[study]) if study in fit.transfer else NOTHING

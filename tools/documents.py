@@ -16,7 +16,7 @@ from pathlib import Path
 from tests.command import vdmbench_process
 from vdmbench.measures.metrics import DEFORMATION, VECTOR
 from vdmbench.measures.uncertainty import is_resolved
-from vdmbench.study.fields import Node, followed, items_of, kinds_of, study_schema
+from vdmbench.study.fields import Node, study_schema
 from vdmbench.verdict.formatting import percent
 
 ROOT = Path(__file__).parents[1]
@@ -108,15 +108,34 @@ def study_keys() -> str:
     titles = {"vdm": "[vdm] for all surface models, [models.NAME] for one", "regions": "[regions.NAME]"}
     for name, node in study_schema()["properties"].items():
         if name != "models":
-            table = items_of(followed(node)) or followed(node)
+            table = _inside(_followed(node))
             title = titles.get(name, f"[[{name}]]" if "items" in node else f"[{name}]")
             text += f"\n## {title}\n\n" + "".join(f"{line}\n" for line in _key_lines(table))
     return text
 
 
+def _followed(node: Node) -> Node:
+    """A node, or what it refers to with the words of its own."""
+    if "$ref" not in node:
+        return node
+    return {**study_schema()["$defs"][node["$ref"].rpartition("/")[2]], **node}
+
+
+def _inside(node: Node) -> Node:
+    """What a table of tables, or a list of them, holds; any other node itself."""
+    inside = node.get("items", {} if "properties" in node else node.get("additionalProperties"))
+    found = _followed(inside) if isinstance(inside, dict) else {}
+    return found if "properties" in found else node
+
+
 def _key_lines(table: Node, indent: str = "") -> Iterator[str]:
     """A line for each key of a table, with those of a table inside; of a table of kinds what each kind adds."""
-    kinds = kinds_of(table)
+    rules = table.get("allOf", [])
+    kinds = {
+        rule["if"]["properties"][by]["const"]: _followed(rule["then"])
+        for rule in rules
+        for by in table["properties"]
+    }
     alike = [kind["properties"].keys() for kind in kinds.values()] or [table["properties"].keys()]
     shared = {
         key: node
@@ -132,15 +151,14 @@ def _key_lines(table: Node, indent: str = "") -> Iterator[str]:
         yield from _key_lines({**kind, "properties": own}, f"{indent}    ")
     if entries := table.get("additionalProperties"):
         yield f'{indent}- `"KEY"` ({entries["title"]}): {entries["description"]}'
-        yield from _key_lines(followed(entries["anyOf"][0]), f"{indent}    ")
+        yield from _key_lines(_followed(entries["anyOf"][0]), f"{indent}    ")
 
 
 def _lines_of(name: str, field: Node, needed: bool, indent: str) -> Iterator[str]:
-    node = followed(field)
+    node = _followed(field)
     default = f" ({json.dumps(node['default'])})" if "default" in node else ""
     yield f"{indent}- `{name}` ({_kind(node)}{', required' * needed}): {node['description']}{default}"
-    inside = items_of(node) or node
-    if "properties" in inside:
+    if "properties" in (inside := _inside(node)):
         yield from _key_lines(inside, f"{indent}    ")
 
 
@@ -150,7 +168,7 @@ def _kind(node: Node) -> str:
         return "number" if node["unit"] == "1" else str(node["unit"])
     if "items" in node:
         size = f" of {node['maxItems']}" if node.get("maxItems") == node.get("minItems", 0) else ""
-        return f"list{size}: {_kind(followed(node['items']))}"
+        return f"list{size}: {_kind(_followed(node['items']))}"
     if "enum" in node:
         return "/".join(node["enum"])
     words = {"object": "table", "string": "text", "integer": "whole number", "boolean": "true or false"}

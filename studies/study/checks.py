@@ -10,7 +10,6 @@ from typing import Any
 from pydantic import ValidationError
 
 from .errors import MOST_TOLD, Finding, Loc, MeshError, Source, key_text, listed, named_twice, unknown
-from .fields import unit_of
 from .kinds import Table
 from .measured import Measured, same_load
 from .registry import BROKEN, DISPLACEMENT_ELEMENTS, FINITE_STRAIN, find, lacks, model_names, reads, split
@@ -208,9 +207,9 @@ def _loads(study: Study) -> Iterator[tuple[Loc, tuple[float, ...], str]]:
         for name in part.loads:
             value = getattr(part, name) or 0.0
             values = value if isinstance(value, tuple) else (value,)
-            yield ("constraints", place, name), values, unit_of(part, name)
+            yield ("constraints", place, name), values, part.unit(name)
     if study.gravity is not None:
-        yield ("gravity", "acceleration"), study.gravity.acceleration, unit_of(study.gravity, "acceleration")
+        yield ("gravity", "acceleration"), study.gravity.acceleration, study.gravity.unit("acceleration")
 
 
 def only_load(study: Study) -> tuple[str, float, str] | None:

@@ -13,7 +13,7 @@ import tomli_w
 
 from .checks import validate
 from .errors import Finding, MeshError, Problem, Source, StudyError, file_fault
-from .files import changed_keys, merged
+from .files import changed, merged
 from .kinds import MAX_NAME, Enters, is_safe_name
 from .schema import Study
 from .sweep import (
@@ -24,6 +24,7 @@ from .sweep import (
     first_case,
     read_axes,
     read_inputs,
+    told_at,
     variations,
 )
 from .toml_lines import TooLarge, key_lines, statements
@@ -69,8 +70,7 @@ def load_study(
     axes, findings = read_axes(data)
     base = first_case(data, axes)
     study, faults = validate(base, source)
-    at_axis = {axis.target.loc: axis.loc for axis in axes if base is not data}
-    findings += [(at_axis.get(loc, loc), text) for loc, text in faults]
+    findings += [(told_at(axes, data, loc) if base is not data else loc, text) for loc, text in faults]
     findings += _changed_in_vain(axes, changes, data)
     if study is None or findings:
         raise source.error(findings, base)
@@ -82,11 +82,11 @@ def _changed_in_vain(
     axes: Sequence[Axis], changes: Sequence[Mapping[str, Any]], data: Mapping[str, Any]
 ) -> Iterator[Finding]:
     """Changes of a key that each case of the sweep gives a value of its own."""
-    changed = {key for change in changes for key in changed_keys(change)}
+    paths = {".".join(path) for change in changes for path, _ in changed(change)}
     for axis in axes:
-        if axis.key in changed and data["sweep"].get("mode") != STAR:
+        if axis.key in paths and data["sweep"].get("mode") != STAR:
             told = f"is swept, so that a change decides nothing; change sweep.{shown(axis.key)} instead"
-            yield axis.target.loc, told
+            yield axis.place, told
 
 
 def expand(study: Study) -> list[ResolvedCase]:
@@ -117,16 +117,15 @@ def resolved(study: Study) -> dict[str, Any]:
     """
     data = study.model_dump(mode="json")
     if "inputs" in data:
-        data["inputs"] = {one.key: one.written for one in read_inputs(data)[0]}
+        data["inputs"] = {one.key: one.written for one in read_inputs(study)[0]}
     return data
 
 
 def geometry_error(study: Study, error: MeshError) -> StudyError:
     """The error of a study whose geometry turned out to be unusable, with the place in its file."""
     data = study.model_dump()
-    swept = {axis.key: axis.loc for axis in read_axes(data)[0]}
     place = error.place or ("path" if study.geometry.shape == "file" else "shape",)
-    loc = swept.get(".".join(map(str, ("geometry", *place))), ("geometry", *place))
+    loc = told_at(read_axes(data)[0], data, ("geometry", *place))
     return study._source.error([(loc, str(error))], data)
 
 

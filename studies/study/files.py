@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError, entry_name, unknown
+from .errors import InputError, Loc, entry_name, unknown, value_at
 
 SHIPPED = Path(__file__).parents[1] / "cases"
 
@@ -36,7 +36,7 @@ def study_path(study: str | Path) -> Path:
     raise InputError(unknown(str(study), [*beside, *known], "study"))
 
 
-# --- A study's text with some of its values replaced ---
+# --- A study with some of its values replaced ---
 
 
 def changes_of(text: str) -> dict[str, Any]:
@@ -57,48 +57,65 @@ def changes_of(text: str) -> dict[str, Any]:
     raise InputError(f"write KEY=VALUE, such as tissue.youngs_modulus='3 kPa', not {text!r}")
 
 
-def changed_keys(changes: Mapping[str, Any], before: str = "") -> Iterator[str]:
-    """The dotted keys that changes give a value."""
+def changed(changes: Mapping[str, Any], *before: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """The paths of keys that nested tables of changes give a value, and the values."""
     for key, value in changes.items():
         if isinstance(value, Mapping):
-            yield from changed_keys(value, f"{before}{key}.")
+            yield from changed(value, *before, key)
         else:
-            yield f"{before}{key}"
+            yield (*before, key), value
 
 
-def merged(table: Mapping[str, Any], changes: Mapping[str, Any], place: str = "") -> dict[str, Any]:
-    """Tables changed key by key; of a value that is no table all is replaced.
+def located(data: Any, path: Sequence[str], of_value: Iterable[str] = ()) -> Loc:
+    """Where a path of keys leads in the data of a study; what is not there yet is under the path's own words.
 
-    An entry of an array of tables, such as a constraint, goes by its name or its region. None drops a key.
+    An entry of an array of tables goes by its name or its region, a component of a vector by its index. Names that
+    are there may have dots, at each of which the path may be split.
+
+    Parameters
+    ----------
+    of_value : keys that what follows a single value may have been meant as
 
     Raises
     ------
     InputError
-        an entry that is not there.
+        an entry that is not there; a key of a value that is no table.
     """
-    new = dict(table)
-    for key, value in changes.items():
-        where, old = f"{place}.{key}" if place else key, table.get(key)
-        if value is None:
-            new.pop(key, None)
-        elif isinstance(value, Mapping) and isinstance(old, list):
-            new[key] = _entries(old, value, where)
-        elif isinstance(value, Mapping):
-            new[key] = merged(old if isinstance(old, Mapping) else {}, value, where)
+    loc: Loc = ()
+    while path:
+        if isinstance(data, list | tuple):
+            known = {entry_name(item) or str(place): place for place, item in enumerate(data)}
+        elif data is None or isinstance(data, Mapping):
+            known = {key: key for key in data or ()}
         else:
-            new[key] = value
+            raise InputError(unknown(path[0], list(of_value), "key"))
+        ends = (end for end in range(len(path), 0, -1) if ".".join(path[:end]) in known)
+        end = next(ends, 1)
+        word = ".".join(path[:end])
+        if isinstance(data, list | tuple) and word not in known:
+            raise InputError(unknown(word, list(known), f"entry of {'.'.join(map(str, loc))}"))
+        loc, path = (*loc, known.get(word, word)), path[end:]
+        data = value_at(data, loc[-1:])
+    return loc
+
+
+def substituted(data: Any, loc: Loc, value: Any) -> Any:
+    """A copy of `data` with `value` at a place; tables on the way that are missing are made. None drops a key."""
+    if not loc:
+        return value
+    first, rest = loc[0], loc[1:]
+    if isinstance(data, list | tuple):
+        return [substituted(item, rest, value) if k == first else item for k, item in enumerate(data)]
+    new = {**(data or {}), first: substituted((data or {}).get(first), rest, value)}
+    return {key: inner for key, inner in new.items() if key != first or inner is not None}
+
+
+def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The data of a study with nested tables of changes, key by key (`located`). Raises InputError."""
+    new = dict(data)
+    for path, value in changed(changes):
+        new = substituted(new, located(new, path), value)
     return new
-
-
-def _entries(entries: list[Any], changes: Mapping[str, Any], place: str) -> list[Any]:
-    names = [entry_name(entry) for entry in entries]
-    if wrong := sorted(set(changes) - set(names)):
-        known = ", ".join(str(name) for name in names if name)
-        raise InputError(f"{place} has no entry {wrong[0]!r}; it has: {known or 'none'}")
-    return [
-        merged(entry, changes[str(name)], f"{place}.{name}") if name in changes else entry
-        for name, entry in zip(names, entries, strict=True)
-    ]
 
 
 # --- Studies as results keep them: files and directories by their names, for folders may name a patient ---

@@ -282,6 +282,15 @@ class Table(BaseModel):
             return f"must be {_WANTED[kind]}, not {type_name(value)}"
         return re.sub(r"^(Input|String|Tuple|Dictionary|Value) should", "must", details["msg"])
 
+    @classmethod
+    def unit(cls, key: str) -> str:
+        """SI unit of a key, "1" of one without a dimension; "" of one that is no quantity."""
+        field = cls.model_fields[key]
+        inside = [
+            mark for option in get_args(field.annotation) for mark in getattr(option, "__metadata__", ())
+        ]
+        return next((mark.unit for mark in (*field.metadata, *inside) if isinstance(mark, SI)), "")
+
     def without(self, data: dict[str, Any], *marks: Enters) -> dict[str, Any]:
         """Of this table's `data` what does not bear one of these marks, two levels deep; unknown keys stay."""
         kept: dict[str, Any] = {}

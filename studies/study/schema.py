@@ -332,6 +332,11 @@ class Known(Table):
     range: Any = Key("list of its least and its most value, all between as likely", None)
 
 
+NEVER_SWEPT = {"study", "sweep", "inputs", "limits", "calibration", "acceptance", "measured"}
+# tables whose numbers decide how much is computed, or the body itself
+NEVER_AN_INPUT = {*NEVER_SWEPT, "geometry", "load", "uncertainty"}
+
+
 class Sweep(Table):
     """[sweep]: further keys are axes, each the dotted path of a key of the study"""
 

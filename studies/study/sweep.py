@@ -6,17 +6,16 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
 from .checks import validate
 from .errors import MOST_TOLD, Finding, InputError, Loc, Source, unknown, value_at
-from .fields import NEVER_AN_INPUT, Target, targets
-from .files import without_folders
+from .files import located, substituted, without_folders
 from .kinds import Enters, Table
-from .schema import Known, Range, Study, Sweep
+from .schema import NEVER_AN_INPUT, NEVER_SWEPT, Known, Range, Study, Sweep
 from .units import shown, to_si, type_name
 
 Value = float | str
@@ -30,12 +29,19 @@ _BASE = "base"  # label of the case that a star is about
 
 @dataclass(frozen=True)
 class Axis:
-    """One swept key: its values in SI, those of a Latin hypercube the ends of the range that it samples."""
+    """One swept key: its values in SI, those of a Latin hypercube the ends of the range that it samples.
+
+    Attributes
+    ----------
+    loc, place : of the axis in the file, and in the study of the value that it varies
+    unit : SI, "" of a value that is no quantity
+    """
 
     key: str
-    loc: Loc  # of the axis in the file
-    target: Target
+    loc: Loc
+    place: Loc
     values: tuple[Value, ...]
+    unit: str = ""
     log: bool = False
 
     def at(self, fraction: float) -> float:
@@ -72,37 +78,78 @@ class ResolvedCase:
 
 
 def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
-    """The axes of a study's data, as parsed from TOML, and what is wrong with them."""
+    """The axes of a study's data, as parsed from TOML, and what is wrong with them.
+
+    A study that has the first value of each tells which keys there are, and their units; where it has faults, the
+    axes have that value alone, as it is written.
+    """
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
         return [], []
-    known = (
-        targets(data) if sweep.keys() - Sweep.model_fields.keys() else {}
-    )  # slow, and every case of a sweep is asked
-
-    def axis(key: str, loc: Loc, value: Any) -> Axis:
-        if key not in known:
-            told = unknown(key, list(known), "key", list_all=False)
-            raise InputError(f"{told} (an axis is the path of a key of the study)")
-        return _axis(key, loc, known[key], value, sampled=sweep.get("mode") == _HYPERCUBE)
-
+    sampled = sweep.get("mode") == _HYPERCUBE
     entries = {key: value for key, value in sweep.items() if key not in Sweep.model_fields}
-    axes, findings = _entries("sweep", entries, axis, known, Range)
-    findings += _check_mode(sweep, list(axes.values()), complete=not findings)
-    return list(axes.values()), findings
+    found, findings = _entries(
+        "sweep", entries, data, Range, lambda *entry: (_written(*entry, sampled=sampled), entry[-1])
+    )
+    written = [axis for axis, _ in found.values()]
+    findings += _check_mode(sweep, written, complete=not findings)
+    if not written:
+        return [], findings
+    first = dict(data)
+    for axis in written:
+        first = substituted(first, axis.place, axis.values[0])
+    try:
+        study = Study.model_validate(first)
+    except ValidationError as error:
+        findings += [(told_at(written, data, one["loc"]), one["msg"]) for one in error.errors()]
+        return written, findings
+    axes: list[Axis] = []
+    for axis, value in found.values():
+        try:
+            axes.append(_in_si(axis, value, study, sampled=sampled))
+        except InputError as error:
+            findings.append(((*axis.loc, *error.place), str(error)))
+    if sweep.get("mode") == "zip" and len({len(axis.values) for axis in axes}) > 1 and not findings:
+        lengths = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in axes)
+        findings.append((("sweep",), f"zip needs axes of one length, but {lengths}"))
+    return axes, findings
+
+
+def told_at(axes: Sequence[Axis], data: Mapping[str, Any], loc: Loc) -> Loc:
+    """Where what is wrong at a place is told: at the axis that varies it, or makes what the file has not."""
+    for axis in axes:
+        if loc == axis.place or (isinstance(axis.place[-1], int) and loc == axis.place[:-1]):
+            return axis.loc
+    made = next((loc[:end] for end in range(1, len(loc) + 1) if value_at(data, loc[:end]) is None), None)
+    return next((axis.loc for axis in axes if made and axis.place[: len(made)] == made), loc)
 
 
 def _entries(
-    name: str, table: Mapping[str, Any], read: Callable[[str, Loc, Any], T], known: Any, kind: type[Table]
+    name: str,
+    table: Mapping[str, Any],
+    data: Mapping[str, Any],
+    kind: type[Table],
+    read: Callable[[str, Loc, Loc, Any], T],
 ) -> tuple[dict[str, T], list[Finding]]:
-    """What is read of each entry of [sweep] or [inputs], and what is wrong with the others."""
+    """What is read of each entry of [sweep] or [inputs], and what is wrong with the others.
+
+    `read` is given its key, where that is in the file and in the study, and the value.
+    """
+    never, more = (NEVER_SWEPT, Sweep.model_fields) if kind is Range else (NEVER_AN_INPUT, {})
+    tables = [one for one in Study.model_fields if one not in never]
     found: dict[str, T] = {}
     findings: list[Finding] = []
-    for key, loc, value in flattened(table, known, kind, (name,)):
+    for key, loc, value in _flattened(table, kind, (name,)):
+        first, *rest = key.split(".")
         try:
             if key in found:
                 raise InputError("is given twice")
-            found[key] = read(key, loc, value)
+            if first == "geometry" and first in never:
+                told = "is another body with other nodes, which cannot be held against this one; sweep it"
+                raise InputError(told)
+            if first not in tables:
+                raise InputError(unknown(first, [*tables, *more], "key"))
+            found[key] = read(key, loc, located(data, [first, *rest], kind.model_fields), value)
         except ValidationError as error:
             findings += [((*loc, *fault["loc"]), fault["msg"]) for fault in error.errors()]
         except InputError as error:
@@ -112,8 +159,8 @@ def _entries(
     return found, findings
 
 
-def flattened(
-    table: Mapping[str, Any], known: Any, kind: type[Table], loc: Loc, prefix: str = ""
+def _flattened(
+    table: Mapping[str, Any], kind: type[Table], loc: Loc, prefix: str = ""
 ) -> Iterator[tuple[str, Loc, Any]]:
     """(key, place, entry) of a table of dotted keys; `tissue.poisson_ratio = ...` is as good as with quotes.
 
@@ -121,49 +168,76 @@ def flattened(
     """
     for name, value in table.items():
         key, place = prefix + name, (*loc, name)
-        around = isinstance(value, Mapping) and value and not kind.model_fields.keys() & value.keys()
-        if around and key not in known:
-            yield from flattened(value, known, kind, place, f"{key}.")
+        if isinstance(value, Mapping) and value and not kind.model_fields.keys() & value.keys():
+            yield from _flattened(value, kind, place, f"{key}.")
         else:
             yield key, place, value
 
 
-def _axis(key: str, loc: Loc, target: Target, value: Any, *, sampled: bool) -> Axis:
-    """Raises InputError, ValidationError."""
+def at(study: Table, loc: Loc) -> tuple[Any, str]:
+    """The value at a place of a sound study, None where it has none, and its SI unit, "" of no quantity.
+
+    Raises
+    ------
+    InputError
+        no such key.
+    """
+    value, unit = study, ""
+    for part in loc:
+        if isinstance(value, Table):
+            known = type(value).model_fields
+            if part not in known:
+                raise InputError(unknown(str(part), list(known), "key"))
+            value, unit = getattr(value, str(part)), value.unit(str(part))
+        else:
+            value = value_at(value, (part,))
+    return value, unit
+
+
+def _written(key: str, loc: Loc, place: Loc, value: Any, *, sampled: bool) -> Axis:
+    """An axis with its first value, as it is written. Raises InputError, ValidationError."""
     if isinstance(value, dict):
-        return _range(key, loc, target, Range.model_validate(value), sampled=sampled)
+        return Axis(key, loc, place, (Range.model_validate(value).start,))
     if not isinstance(value, list):
         raise InputError(f"must be a list of values, or {{ start, stop, num }}, not {type_name(value)}")
     if sampled:
         raise InputError("a latin-hypercube samples ranges: write { start, stop } instead of a list")
     if not value:
         raise InputError("has no values; list at least one")
-    return Axis(key, loc, target, tuple(_value(target, item, place) for place, item in enumerate(value)))
+    return Axis(key, loc, place, (value[0],))
 
 
-def _range(key: str, loc: Loc, target: Target, given: Range, *, sampled: bool) -> Axis:
-    if target.si is None:
+def _in_si(axis: Axis, value: Any, study: Study, *, sampled: bool) -> Axis:
+    """An axis with all its values; the study has its first. Raises InputError."""
+    found, unit = at(study, axis.place)
+    if isinstance(found, tuple | Table):
+        raise InputError(f"is no single value; vary one of its own, such as {axis.key}.0")
+    axis = replace(axis, unit=unit)
+    if isinstance(value, list):
+        return replace(axis, values=tuple(_value(unit, item, place) for place, item in enumerate(value)))
+    given = Range.model_validate(value)
+    if not unit:
         raise InputError("has no range: list its values")
-    start, stop = (float(_value(target, getattr(given, name), name)) for name in ("start", "stop"))
+    start, stop = (float(_value(unit, getattr(given, name), name)) for name in ("start", "stop"))
     if start == stop:
         raise InputError("start and stop are the same value")
     if given.scale == "log" and min(start, stop) <= 0:
         raise InputError("a log scale needs a positive start and stop")
-    axis = Axis(key, loc, target, (start, stop), given.scale == "log")
+    axis = replace(axis, values=(start, stop), log=given.scale == "log")
     if sampled:
         if given.num is not None:
             raise InputError("a latin-hypercube has one number of samples for all axes: leave num out", "num")
         return axis
     if given.num is None:
         raise InputError(f"is missing: {Range.model_fields['num'].description}", "num")
-    return Axis(key, loc, target, tuple(axis.at(i / (given.num - 1)) for i in range(given.num)))
+    return replace(axis, values=tuple(axis.at(i / (given.num - 1)) for i in range(given.num)))
 
 
-def _value(target: Target, value: Any, *inside: str | int) -> Value:
+def _value(unit: str, value: Any, *inside: str | int) -> Value:
     """One value in SI. Raises InputError."""
-    if target.si is not None:
+    if unit:
         try:
-            return to_si(value, target.unit)
+            return to_si(value, unit)
         except ValueError as error:
             raise InputError(str(error), *inside) from None
     if isinstance(value, bool) or not isinstance(value, int | str):
@@ -182,9 +256,6 @@ def _check_mode(sweep: Mapping[str, Any], axes: Sequence[Axis], *, complete: boo
     for key in ("samples", "seed"):
         if key in sweep:
             yield ("sweep", key), 'only mode = "latin-hypercube" takes it'
-    if mode == "zip" and complete and len({len(axis.values) for axis in axes}) > 1:
-        lengths = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in axes)
-        yield ("sweep",), f"zip needs axes of one length, but {lengths}"
 
 
 # --- cases ---
@@ -199,20 +270,20 @@ def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
 
     def told(axis: Axis, value: Value) -> str:
         name = last[axis.key] if often[last[axis.key]] == 1 else axis.key
-        unit = "" if axis.target.unit == "1" else f" {axis.target.unit}"
-        return f"{name} = {_shown(without_folders(value))}{unit}"
+        unit = axis.unit.removeprefix("1")
+        return f"{name} = {_shown(without_folders(value))} {unit}".rstrip()
 
     base: dict[str, Value] = {}
     rows = _combinations(sweep, axes)
     if axes and sweep.get("mode") == STAR:
-        own = {axis.key: value_at(rest, axis.target.loc) for axis in axes}
+        own = {axis.key: value_at(rest, axis.place) for axis in axes}
         base = {key: value for key, value in own.items() if value is not None}
         rows = _off_base(axes, base)
         yield _BASE, base, rest
     for changed in rows:
         case = rest
         for axis, value in changed:
-            case = substituted(case, axis.target.loc, value)
+            case = substituted(case, axis.place, value)
         label = ", ".join(told(axis, value) for axis, value in changed)
         yield label, base | {axis.key: value for axis, value in changed}, case
 
@@ -246,25 +317,13 @@ def _off_base(axes: Sequence[Axis], base: Mapping[str, Value]) -> Iterator[list[
                 yield [(axis, value)]
 
 
-def substituted(data: Any, loc: Loc, value: Value) -> Any:
-    """A copy of `data` with `value` at a place; tables on the way that are missing are made, no others."""
-    if not loc:
-        return value
-    first, rest = loc[0], loc[1:]
-    if isinstance(data, list | tuple) and isinstance(first, int):
-        return [substituted(item, rest, value) if i == first else item for i, item in enumerate(data)]
-    if data is not None and not isinstance(data, dict):
-        return data
-    return {**(data or {}), first: substituted((data or {}).get(first), rest, value)}
-
-
 def first_case(data: dict[str, Any], axes: Sequence[Axis]) -> dict[str, Any]:
     """`data` with the first value of those axes whose key the file leaves to the sweep; a star leaves it none."""
     if isinstance(data.get("sweep"), dict) and data["sweep"].get("mode") == STAR:
         return data
     for axis in axes:
-        if value_at(data, axis.target.loc) is None:
-            data = substituted(data, axis.target.loc, axis.values[0])
+        if value_at(data, axis.place) is None:
+            data = substituted(data, axis.place, axis.values[0])
     return data
 
 
@@ -291,14 +350,13 @@ def check_cases(
     if len(made) > most:
         text = f"makes more cases than the {most} allowed; sweep less, or raise study.max_cases"
         return [], [(("sweep",), text)]
-    swept_units = {axis.key: axis.target.unit for axis in axes}
-    at_axis = {axis.target.loc: axis.loc for axis in axes}
+    swept_units = {axis.key: axis.unit or "1" for axis in axes}
     resolved: list[ResolvedCase] = []
     faults: dict[Loc, list[str]] = {}
     for label, swept, case in made:
         study, findings = validate(case, source)
         for loc, text in findings:
-            faults.setdefault(at_axis.get(loc, loc), []).append(
+            faults.setdefault(told_at(axes, data, loc), []).append(
                 f"{text} (in the case {label})" if label else text
             )
         if study is not None:
@@ -353,55 +411,46 @@ class Input:
 
 def inputs_of(study: Study) -> list[Input]:
     """What is not known of a sound study, in the order of its keys."""
-    return read_inputs(study.model_dump())[0]
+    return read_inputs(study)[0]
 
 
-def read_inputs(data: Mapping[str, Any]) -> tuple[list[Input], list[Finding]]:
-    """The inputs in a study's data, with all defaults, and what is wrong with them."""
-    if not isinstance(data.get("inputs"), Mapping):
+def read_inputs(study: Study) -> tuple[list[Input], list[Finding]]:
+    """The inputs of a study whose other keys are sound, and what is wrong with them."""
+    if study.inputs is None:
         return [], []
-    known = {
-        key: target
-        for key, target in targets(data).items()
-        if target.si is not None and target.loc[0] not in NEVER_AN_INPUT
-    }
-    found, findings = _entries(
-        "inputs", data["inputs"], lambda key, loc, entry: _input(data, key, loc, entry, known), known, Known
-    )
+    data = study.model_dump()
+    found, findings = _entries("inputs", data["inputs"], data, Known, lambda *entry: _input(study, *entry))
     if not found and not findings:
         findings.append((("inputs",), f"names no key; add one, such as tissue.youngs_modulus: {_FORMS}"))
     return [found[key] for key in sorted(found)], findings
 
 
-def _input(data: Mapping[str, Any], key: str, loc: Loc, entry: Any, known: Mapping[str, Target]) -> Input:
+def _input(study: Study, key: str, loc: Loc, place: Loc, entry: Any) -> Input:
     """Raises InputError, ValidationError."""
-    if key.partition(".")[0] == "geometry":
-        raise InputError("is another body with other nodes, which cannot be held against this one; sweep it")
-    if key not in known:
-        raise InputError(unknown(key, list(known), "quantity", list_all=False))
+    value, unit = at(study, place)
     if not isinstance(entry, Mapping):
         raise InputError(f"must be a table: {_FORMS}; not {type_name(entry)}")
-    given, target = Known.model_validate(dict(entry)), known[key]
+    given = Known.model_validate(dict(entry))
     if (given.sd is None) == (given.range is None):
         raise InputError(f"{_FORMS}, one of them")
-    value = value_at(data, target.loc)
-    if not isinstance(value, float):
-        raise InputError("has no value in this study; give it one, or leave it out here")
+    if not (unit and isinstance(value, float)):
+        raise InputError("has no number in this study; give it one, or leave it out here")
     if given.sd is not None:
-        sd = float(_value(target, given.sd, "sd"))
+        sd = float(_value(unit, given.sd, "sd"))
         if sd <= 0:
             raise InputError(f"must be positive, not {sd:g}", "sd")
-        return Input(key, target.loc, target.unit, value, (value - sd, value + sd), 1.0, {"sd": sd}, loc)
+        return Input(key, place, unit, value, (value - sd, value + sd), 1.0, {"sd": sd}, loc)
     if not isinstance(given.range, list | tuple) or len(given.range) != 2:
         raise InputError("must be a list of two values, the least and the most", "range")
-    low, high = (float(_value(target, end, "range")) for end in given.range)
+    low, high = (float(_value(unit, end, "range")) for end in given.range)
     if not low < high:
         raise InputError("must begin with the smaller value, and end with another", "range")
     if not low <= value <= high:
-        unit = "" if target.unit == "1" else f" {target.unit}"
-        raise InputError(f"does not hold the study's own value, {value:g}{unit}", "range")
+        raise InputError(
+            f"does not hold the study's own value, {value:g} {unit.removeprefix('1')}".rstrip(), "range"
+        )
     even = 1.0 / math.sqrt(3.0)  # every value between is as likely
-    return Input(key, target.loc, target.unit, value, (low, high), even, {"range": [low, high]}, loc)
+    return Input(key, place, unit, value, (low, high), even, {"range": [low, high]}, loc)
 
 
 # --- The studies with other values of the inputs that tell what comes of not knowing them ---
@@ -412,7 +461,7 @@ def variations(study: Study) -> tuple[list[ResolvedCase], list[Finding]]:
     if study.inputs is None:
         return [], []
     data = study.model_dump()
-    inputs, findings = read_inputs(data)
+    inputs, findings = read_inputs(study)
     # of an answer the other tables decide nothing
     rest = {key: table for key, table in data.items() if Enters.of(Study.model_fields[key]) is None}
     found: list[ResolvedCase] = []

@@ -14,7 +14,7 @@ from vdmbench.measures.case import CaseResult
 from vdmbench.models import model_names
 from vdmbench.store.cases import read_run
 from vdmbench.study.config import expand, load_study
-from vdmbench.study.fields import kinds_of, study_schema
+from vdmbench.study.fields import study_schema
 from vdmbench.work.keys import wanted
 
 SPRINGS = SMALL_STUDY.replace('"vdm-paper"', '"springs"')
@@ -127,10 +127,7 @@ def test_a_shape() -> None:
     tubes = ring + '[sweep]\n"geometry.tube" = ["12 mm", "15 mm"]\n'
     assert len({case["mesh"] for case in planned(tubes)["cases"]}) == 2
     cases, page = ran(tubes)
-    assert (
-        kinds_of(study_schema()["$defs"]["Geometry"])["ring"]["properties"]["tube"]["description"]
-        == "of its tube"
-    )
+    assert '"description": "of its tube"' in json.dumps(study_schema())
     for case in cases:
         # facets cut the tube's circle: 9 mm of a circumference of 75 or 94 mm
         volume = 2.0 * np.pi**2 * 0.05 * float(case.swept["geometry.tube"]) ** 2

@@ -10,11 +10,11 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import pytest
 
+from vdmbench.study.files import substituted
 from vdmbench.study.kinds import Enters, Table
 from vdmbench.study.registry import all_models, find
 from vdmbench.study.schema import Study
 from vdmbench.study.shapes import Geometry, geometry_key
-from vdmbench.study.sweep import substituted
 from vdmbench.work import keys
 from vdmbench.work.keys import Wanted, case_hash, direction, load_steps, wanted
 
