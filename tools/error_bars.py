@@ -6,38 +6,25 @@ its finest level and two coarser ones, by the order that they show. No model is 
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
 
-import numpy as np
 import tomli_w
 
 from solver_common.arrays import Array
-from tools.documents import CASES, ROOT, table
+from tools.documents import CASES, table
 from tools.evidence import EVIDENCE, MEASURES, ran_text
 from vdmbench.body.geometry import build_mesh
-from vdmbench.body.surface_measures import Surface, deformations, weighted_norm, weighted_norms
-from vdmbench.measures.case import CaseResult
 from vdmbench.measures.frame import value_bar
 from vdmbench.measures.metrics import METRICS, VECTOR, History, evaluate_all
-from vdmbench.measures.uncertainty import REASONABLE_ORDERS, estimate_error
-from vdmbench.scene.result import ModelResult
+from vdmbench.measures.uncertainty import REASONABLE_ORDERS
 from vdmbench.scene.scene import build_scene
 from vdmbench.study.config import expand, load_study
 from vdmbench.study.registry import REFINED
 from vdmbench.verdict.formatting import percent
 
-FOUND = ROOT / "results" / "error-bars.json"
 ROUNDING = 1e-9  # a distance up to this, of a number with a unit times the number, is the solver's tolerance
-HEAD = """# What the error bars of two mesh levels are worth
-
-A study with `uncertainty.levels = 2` has the reference on its mesh split once; its bar is the difference to that on
-the mesh itself. Here shipped studies split it once more. A bar holds where it reaches from its number to the best
-estimate: Richardson's extrapolation of the three levels. "Used" is that distance over the bar.
-`make evidence WHAT=error_bars` writes this page, and each case to `error-bars.json` beside it.
-"""
+Row = Sequence[str]  # of a case and a metric, as `head` says: what is used of the bars of all models
 
 
 def used(metric: str, value: float, bar: float, best: float) -> float:
@@ -48,100 +35,69 @@ def used(metric: str, value: float, bar: float, best: float) -> float:
     return distance / bar if bar else math.inf
 
 
-def tried(study: str, number: int) -> dict[str, Any]:
-    """A case, numbered from 1: of each metric what is used of each of its bars, to four digits."""
+def tried(study: str, number: int) -> Iterator[Row]:
+    """A row for each metric of a case, numbered from 1, to four digits."""
     case = expand(load_study(CASES / f"{study}.toml"))[number - 1].study
     runs = []
     for levels in (2, 3):
         given = case.model_dump(mode="json", exclude_none=True, exclude={"sweep", "limits"})
         given["uncertainty"] = {"levels": levels}
         runs += ran_text(tomli_w.dumps(given), f"error-bars/{study}-{number}-{levels}").cases
-    found = runs[0]
+    found, at = runs[0], runs[0].full_load
     reference = str(case.study.reference)
-    surface = build_scene(case, build_mesh(case.geometry)).surface
-    levels_of = [found.models[reference], *(one.models[reference + REFINED] for one in runs)]
-    order, best = extrapolated(surface, levels_of, found)
+    finest = reference + REFINED
+    order, (low, high) = runs[1].reference_error["observed_order"], REASONABLE_ORDERS
+    share = 1.0 / (2.0 ** min(max(order, low), high) - 1.0)
+
+    def best(name: str) -> Array:
+        before, last = (getattr(one.models[finest], name) for one in runs)
+        extrapolated: Array = last + share * (last - before)
+        return extrapolated
+
     histories = {
         name: History(m.displacement, m.reaction_force, found.load_factors)
         for name, m in found.models.items()
     }
-    estimates = evaluate_all(surface, {**histories, reference + REFINED: best}, reference + REFINED)
+    histories[finest] = History(best("displacement"), best("reaction_force"), found.load_factors)
+    estimates = evaluate_all(build_scene(case, build_mesh(case.geometry)).surface, histories, finest)
     shares: dict[str, dict[str, float]] = {}
     for model, metrics in found.metrics.items():
-        for metric, series in metrics.items():
-            if metric in estimates[model]:
-                at = found.full_load
-                numbers = (
-                    float(series[at]),
-                    value_bar(found, model, metric),
-                    float(estimates[model][metric][at]),
-                )
-                if all(map(math.isfinite, numbers)):
-                    shares.setdefault(metric, {})[model] = float(f"{used(metric, *numbers):.4g}")
-    fields = np.stack([result.displacement[found.full_load] for result in levels_of])
-    deformed = deformations(surface.points, fields, surface.areas)
-    gaps = weighted_norms(np.diff(deformed, axis=0), surface.areas)
-    return {
-        "study": study,
-        "case": number,
-        "mesh_size": case.geometry.mesh_size,
-        "bar": value_bar(found, reference, VECTOR),
-        "order": round(order, 2),
-        "order_deformation": round(math.log2(gaps[0] / gaps[1]), 2),
-        "own": {metric: shares[metric][reference] for metric in MEASURES},
-        "used": {metric: list(models.values()) for metric, models in shares.items()},
-    }
+        for metric in metrics.keys() & estimates[model].keys():
+            value, estimate = float(metrics[metric][at]), float(estimates[model][metric][at])
+            if all(map(math.isfinite, numbers := (value, value_bar(found, model, metric), estimate))):
+                shares.setdefault(metric, {})[model] = used(metric, *numbers)
+    bar = value_bar(found, reference, VECTOR)
+    for metric in (one for one in METRICS if one in shares):
+        own = f"{shares[metric][reference]:.4g}" if metric in MEASURES else ""
+        every = " ".join(f"{one:.4g}" for one in shares[metric].values())
+        yield study, f"{number}", f"{bar:.4g}", f"{order:.2f}", metric, own, every
 
 
-def extrapolated(surface: Surface, levels: Sequence[ModelResult], found: CaseResult) -> tuple[float, History]:
-    """The order that three levels of the reference, coarse first, show in displacement, and the best estimate."""
-    step, factors = found.full_load, found.load_factors
-    coarse, fine, finest = levels
-    gaps = [
-        weighted_norm(a.displacement[step] - b.displacement[step], surface.areas)
-        for a, b in ((fine, finest), (coarse, fine))
-    ]
-    order = estimate_error(gaps, 2.0).observed_order
-    low, high = REASONABLE_ORDERS
-    share = 1.0 / (2.0 ** min(max(order, low), high) - 1.0)
-
-    def limit(last: Array, before: Array) -> Array:
-        return last + share * (last - before)
-
-    displacement = limit(finest.displacement, fine.displacement)
-    return order, History(displacement, limit(finest.reaction_force, fine.reaction_force), factors)
-
-
-def held(rows: Iterable[Mapping[str, Any]], metrics: Iterable[str]) -> tuple[int, int]:
-    """How many bars of some metrics hold, of how many."""
-    shares = [share for row in rows for metric in metrics for share in row["used"].get(metric, [])]
+def held(rows: Iterable[Row], metrics: Iterable[str], column: int = -1) -> tuple[int, int]:
+    """How many bars of some metrics hold, of how many; by another column those on the study's own mesh."""
+    shares = [float(share) for row in rows if row[4] in metrics for share in row[column].split()]
     return sum(share <= 1.0 for share in shares), len(shares)
 
 
-def document(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The whole of `results/error-bars.md`."""
+def error_bars_page(rows: Sequence[Row]) -> str:
+    """What all rows come to, and a line for each metric."""
     by_metric = []
-    for metric in METRICS:
-        if shares := [share for row in rows for share in row["used"].get(metric, [])]:
-            counts = "{} of {}".format(*held(rows, [metric]))
-            by_metric.append([f"`{metric}`", counts, f"{max(shares):.2g}"])
-    vector, deformation = (sum(row["own"][metric] <= 1.0 for row in rows) for metric in MEASURES)
-    bars, orders, studies = ([row[key] for row in rows] for key in ("bar", "order", "study"))
+    for metric in (one for one in METRICS if any(row[4] == one for row in rows)):
+        largest = max(float(share) for row in rows if row[4] == metric for share in row[-1].split())
+        by_metric.append([f"`{metric}`", "{} of {}".format(*held(rows, [metric])), f"{largest:.2g}"])
+    bars, orders = (sorted(float(row[k]) for row in rows) for k in (2, 3))
+    (vector, cases), (deformation, _) = (held(rows, [metric], 5) for metric in MEASURES)
     return (
-        f"{HEAD}\n{len(rows)} cases of {len(set(studies))} studies, bars of {percent(min(bars))} to "
-        f"{percent(max(bars))}, orders of {min(orders):.2g} to {max(orders):.2g}. On the study's own\nmesh the "
-        f"error of the reference is its own alone: there {vector} / {deformation} of {len(rows)} bars of "
+        f"{cases} cases of {len({row[0] for row in rows})} studies, bars of {percent(bars[0])} to "
+        f"{percent(bars[-1])}, orders of {orders[0]:.2g} to {orders[-1]:.2g}. On the study's own\nmesh the "
+        f"error of the reference is its own alone: there {vector} / {deformation} of {cases} bars of "
         "displacement / deformation\nhold. Of all models, and of the reference's own figures:\n\n"
     ) + table(["number", "bars that hold", "used at most"], by_metric)
 
 
-def error_bars(arguments: Sequence[str]) -> None:
-    """Solve the cases of the studies named, by default of all, and write what came out; rows of others stay."""
+def error_bars(arguments: Sequence[str]) -> Iterator[Row]:
+    """Solve the cases of the studies named, by default of all."""
     own: dict[str, list[int]] = EVIDENCE["error_bars"]["cases"]
-    kept = json.loads(FOUND.read_text())
-    found = {study: [row for row in kept if row["study"] == study] for study in own}
     for study in arguments or own:
-        found[study] = [tried(study, number) for number in own[study]]
-        rows = [row for one in found.values() for row in one]
-        FOUND.write_text("[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n")
-        (ROOT / EVIDENCE["error_bars"]["document"]).write_text(document(rows))
+        for number in own[study]:
+            yield from tried(study, number)
