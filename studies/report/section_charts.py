@@ -16,7 +16,7 @@ from ..measures.case import CaseResult
 from ..measures.frame import at_full_load
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..measures.pushed import Answer, Pushed
-from ..verdict.acceptance import name_of, pushes
+from ..verdict.acceptance import pushes
 from ..verdict.digest import DRIFT, REFERENCE, Digest, frame_of, median_known
 from ..verdict.formatting import parameter_name, scale_of, swept_value
 from .blocks import Block, Figure, Figures, Section, note
@@ -228,7 +228,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
         }
         known = {name: curve[:, np.isfinite(curve).all(axis=0)] for name, curve in curves.items()}
         if known := {name: curve for name, curve in known.items() if curve.size}:
-            place = ", ".join(filter(None, [name_of(pushed.constraint), title]))
+            place = ", ".join(filter(None, [pushed.constraint.name, title]))
             figures.append(_force_chart(digest, case, pushed, known, place, f"f{len(figures)}"))
             kinds[pushed.constraint.kind] = None
     if not figures:

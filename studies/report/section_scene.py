@@ -18,7 +18,7 @@ from ..measures.case import CaseResult
 from ..scene.result import REST_DISTANCE
 from ..study.loads import Constraint
 from ..study.schema import Inclusion
-from ..verdict.acceptance import kind_of, name_of
+from ..verdict.acceptance import kind_of
 from ..verdict.digest import Digest
 from ..verdict.formatting import capital
 from ..verdict.words import said
@@ -74,7 +74,7 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
     several = sum(c.kind == "contact" for c in case.study.constraints) > 1
     parts = []
     for constraint in case.study.constraints:
-        name, kind, nodes = name_of(constraint), kind_of(constraint), case.regions[constraint.region]
+        name, kind, nodes = constraint.name, kind_of(constraint), case.regions[constraint.region]
         label = _load(name, cases)
         if kind == "contact" and several:
             label = f"{name} {label}"
@@ -137,7 +137,7 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
     rows.append(("Mesh", _said("mesh", nodes, sizes)))
     rows += [("Parts", words) for name in case.models if (words := _parts_words(case, name))]
     for constraint in case.study.constraints:
-        name, within = name_of(constraint), case.points[case.regions[constraint.region]]
+        name, within = constraint.name, case.points[case.regions[constraint.region]]
         middle = (within.min(axis=0) + within.max(axis=0)) / 2 if len(within) else 0.0
         about = {
             "name": name,
@@ -212,20 +212,16 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
     found: dict[str, list[float]] = {}
     for case in cases:
         factor = float(case.load_factors[case.full_load])
-        for constraint in case.study.constraints:
-            if name_of(constraint) != name:
-                continue
-            if constraint.force is not None:
-                found.setdefault("N", []).append(factor * constraint.force)
-            elif constraint.pressure is not None:
-                kind = "Pa" if constraint.profile in (None, "uniform") else "peak"
-                found.setdefault(kind, []).append(factor * constraint.pressure)
-            elif constraint.stiffness is not None:
+        for constraint in (one for one in case.study.constraints if one.name == name):
+            if constraint.stiffness is not None:
                 found.setdefault("Pa/m", []).append(constraint.stiffness)
-            elif constraint.depth is not None:
-                found.setdefault("m", []).append(factor * constraint.depth)
-            elif kind_of(constraint) == "constrained" and constraint.displacement is not None:
-                found.setdefault("m", []).append(factor * float(np.linalg.norm(constraint.displacement)))
+            for key in constraint.loads:
+                size = getattr(constraint, key)
+                if isinstance(size, tuple):  # one that moves nothing holds
+                    size = float(np.linalg.norm(size)) or None
+                if size is not None:
+                    smooth = key == "pressure" and constraint.profile != "uniform"
+                    found.setdefault("peak" if smooth else constraint.unit(key), []).append(factor * size)
     return _said("load", found)
 
 

@@ -107,10 +107,6 @@ def word_of(states: Iterable[int]) -> str:
 _SAME = 1e-9  # of a load: the difference of two that are one
 
 
-def name_of(constraint: Constraint) -> str:
-    return constraint.name or constraint.region
-
-
 def kind_of(constraint: Constraint) -> str:
     """Its kind; what is moved by nothing is held."""
     held = constraint.kind == "constrained" and not np.any(constraint.displacement or 0.0)

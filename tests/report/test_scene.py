@@ -93,13 +93,15 @@ def test_the_arrow_of_a_contact(contact: dict[str, object], label: str, down: bo
     np.testing.assert_allclose(direction, [0, 0, -1 if down else 1], atol=1e-6)  # the mesh is symmetric
 
 
-def test_a_moved_region_and_a_contact_all_round() -> None:
+def test_a_moved_region_a_thread_and_a_contact_all_round() -> None:
     case = make_case({"m": 0.1})
     everywhere = np.ones(len(case.points), dtype=bool)
     moved = {"kind": "constrained", "region": "finger", "name": "jaw", "displacement": [0.002, 0.0, 0.0]}
     squeezed = {"kind": "contact", "region": "all", "name": "air", "pressure": 100.0}
-    case = asked(case, constraints=[moved, squeezed])
+    pulled = {"kind": "line", "region": "finger", "name": "thread", "resultant": [0.0, 0.015, 0.02]}
+    case = asked(case, constraints=[moved, squeezed, pulled])
     case = dataclasses.replace(case, regions={**case.regions, "all": everywhere})
-    jaw, air = parts_of(case, [case])
+    jaw, air, thread = parts_of(case, [case])
     assert (jaw.label, list(jaw.vector)) == ("2 mm", [0.002, 0.0, 0.0])
     assert air.vector is None, "it presses from all sides"
+    assert (thread.label, list(thread.vector)) == ("0.025 N", [0.0, 0.015, 0.02])
