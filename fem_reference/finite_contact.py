@@ -5,6 +5,12 @@ p = max(0, -k c) at every quadrature point of the facets, along the indenter's n
 consistent tangent k n x n - p H, H the second derivative of c (Wriggers 2006, Computational Contact Mechanics,
 section 6.3). A pressure of one shear modulus sinks in by a three-hundredth of a mean edge, which is told.
 
+Newton's method has the pressures as unknowns beside the displacement: its tangent takes p from the linear solve
+before (as Magisano, Leonetti and Garcea 2017, Comput. Methods Appl. Mech. Eng. 313, 986, do with stresses), and a
+point that this solve pressed stays in contact, also where the surface has since bent away from it (the primal-dual
+active set of Hintermueller, Ito and Kunisch 2002, doi 10.1137/S1052623401383558). By the distance alone a stiff
+penalty on a soft body opens and closes from one iteration to the next.
+
 A point of the surface near the axis and behind the indenter's middle has been passed by: nothing pushes it back. A
 substep that passes a point does not count.
 """
@@ -21,11 +27,11 @@ from fem_reference.assembly import Pattern
 from fem_reference.indenter import Capsule, Indenter, Sphere
 from fem_reference.mesh import TetMesh, triangle_p2
 from fem_reference.solution import Solution
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Mask
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
-_PENALTY = 300.0  # of a shear modulus per mean edge
+PENALTY = 300.0  # of a shear modulus per mean edge
 _CUTS = 6  # of an edge: a surface that crosses the axis has a point of this lattice near it
 _LATTICE = np.array([(i, j, _CUTS - i - j) for i in range(_CUTS + 1) for j in range(_CUTS + 1 - i)]) / _CUTS
 _APART = 1.0 / 3.0  # of an edge, the points at which a facet is held off
@@ -99,18 +105,47 @@ class RigidContact:
             self._half = 0.5 * shape.length / unit
         self._pattern, self._mesh = pattern, mesh
 
-    def forces(self, positions: Array, depth: float) -> Array:
-        """(n_nodes, 3) forces on the body."""
+    @property
+    def untouched(self) -> Array:
+        """(f, Q) no pressure."""
+        return np.zeros_like(self._measure)
+
+    def predicted(self, positions: Array, depth: float, pressure: Array, step: Array) -> Array:
+        """(f, Q) pressures after a step (n_nodes, 3), by the linear model here; negative where it pulls.
+
+        Parameters
+        ----------
+        pressure : (f, Q) of the solve before, see `add_stiffness`
+        """
         distance, normal, _ = self._distance(positions, depth)
-        traction = (self._pressure(distance) * self._measure)[..., None] * normal
+        change = np.einsum("fqi,fqi->fq", normal, self._shape @ step[self._nodes])
+        return np.where(_is_on(distance, pressure), -PENALTY * (distance + change), 0.0)
+
+    def lacking(self, positions: Array, depth: float, pressure: Array) -> float:
+        """How far the points in contact are from where their (f, Q) pressures would have them."""
+        distance = self._distance(positions, depth)[0]
+        return float(np.abs(np.where(_is_on(distance, pressure), distance + pressure / PENALTY, 0.0)).max())
+
+    def forces(self, positions: Array, depth: float, pressure: Array | None = None) -> Array:
+        """(n_nodes, 3) forces on the body of (f, Q) pressures; left out: those of the penalty."""
+        distance, normal, _ = self._distance(positions, depth)
+        pressure = self._pressure(distance) if pressure is None else pressure
+        traction = (pressure * self._measure)[..., None] * normal
         return self._mesh.summed(self._nodes, self._shape.T @ traction)
 
-    def add_stiffness(self, blocks: Array, positions: Array, depth: float) -> None:
-        """Add the negative derivative of the forces to the (pattern.size, 3, 3) blocks."""
+    def add_stiffness(
+        self, blocks: Array, positions: Array, depth: float, pressure: Array | None = None
+    ) -> None:
+        """Add the negative derivative of the forces to the (pattern.size, 3, 3) blocks.
+
+        Parameters
+        ----------
+        pressure : (f, Q) of the solve before, whose points stay in contact; left out: those of the penalty
+        """
         distance, normal, curvature = self._distance(positions, depth)
-        pressure = self._pressure(distance)
-        on = (pressure > 0.0) * self._measure
-        tensors = (_PENALTY * on)[..., None, None] * normal[..., :, None] * normal[..., None, :]
+        pressure = self._pressure(distance) if pressure is None else pressure
+        on = _is_on(distance, pressure) * self._measure
+        tensors = (PENALTY * on)[..., None, None] * normal[..., :, None] * normal[..., None, :]
         tensors -= (pressure * self._measure)[..., None, None] * curvature
         touched = on.any(axis=1)
         if not touched.any():
@@ -137,7 +172,7 @@ class RigidContact:
     def energy(self, positions: Array, depth: float) -> float:
         """Energy of the penalty."""
         distance, _, _ = self._distance(positions, depth)
-        return float(0.5 / _PENALTY * (self._pressure(distance) ** 2 * self._measure).sum())
+        return float(0.5 / PENALTY * (self._pressure(distance) ** 2 * self._measure).sum())
 
     def touched(self, positions: Array, depth: float) -> int:
         """Number of facets under pressure."""
@@ -149,7 +184,7 @@ class RigidContact:
         return float(((self._pressure(distance) > 0.0) * self._measure).sum())
 
     def _pressure(self, distance: Array) -> Array:
-        return _PENALTY * np.clip(-distance, 0.0, None)
+        return PENALTY * np.clip(-distance, 0.0, None)
 
     def _distance(self, positions: Array, depth: float) -> tuple[Array, Array, Array]:
         """(f, Q) distances from the indenter, their gradients and their second derivatives."""
@@ -165,6 +200,11 @@ class RigidContact:
         y = shape @ positions[self._nodes] - (self._start + depth * self._axis)
         place = y @ self._along
         return y - np.clip(place, -self._half, self._half)[..., None] * self._along, place
+
+
+def _is_on(distance: Array, pressure: Array) -> Mask:
+    """Which points are in contact: inside the indenter, or pressed by the solve before."""
+    return (distance < 0.0) | (pressure > 0.0)
 
 
 _bad_contact = partial(solver_error, "bad-contact")

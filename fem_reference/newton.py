@@ -15,7 +15,7 @@ import numpy as np
 from scipy.sparse import bsr_array, csr_array
 
 from fem_reference.assembly import Pattern
-from fem_reference.finite_contact import RigidContact
+from fem_reference.finite_contact import PENALTY, RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
 from fem_reference.surface_stretch import BIOT, most_compressed
@@ -121,7 +121,11 @@ class Substep:
 @dataclass(frozen=True)
 class _Residual:
     vector: Array
+    linear: Array  # by the linear model of contact, whose points may pull
     relative: float
+    unsettled: (
+        float  # `relative` of the pressures of the iteration, or how far points are from where these press
+    )
     scale: float  # of the forces in it
     reaction: Array
     external: Array
@@ -204,7 +208,8 @@ class Newton:
     def solve(self, state: State, load: ScaledLoad, load_factor: float, reached: float = 0.0) -> Substep:
         """Newton iterations from a state, at load factor `reached`, to equilibrium under a load."""
         u, q, c = state.displacement, state.pressure, state.fluid
-        found = self._residual(u, q, c, load)
+        touch = np.zeros((0, 0)) if self.contact is None else self.contact.untouched
+        found = self._residual(u, q, c, load, touch)
         passed = Substep(
             load_factor, load, state, found.reaction, found.external, (found.relative,), "passed"
         )
@@ -212,7 +217,7 @@ class Newton:
             return passed
         # Of the forces before and after the step, and of those that held nodes need to move by themselves.
         largest = max(found.scale, float(np.abs(load.given).max()))
-        residuals = [found.relative]
+        residuals = [found.unsettled]
 
         def outcome(at: State, code: str) -> Substep:
             return Substep(load_factor, load, at, found.reaction, found.external, tuple(residuals), code)
@@ -222,6 +227,7 @@ class Newton:
             tell(Progress(*self.place, reached, load_factor, len(residuals) - 1, residuals[-1]))
             step = np.where(self.system.held, load.given - u, 0.0)
             if found.relative <= self.tolerance and not step.any():
+                residuals[-1] = found.relative
                 # A load that acts must not be lost; what is left of one that was taken off is nothing.
                 lost = float(np.abs(found.vector).max()) > _LEFT * max(found.scale, largest)
                 if lost and found.external.any():
@@ -236,21 +242,25 @@ class Newton:
             if slow or rises > _MOST_RISES or not np.isfinite(found.relative):
                 return outcome(state, "not-converged")
             if tangent is None or not self._good_enough(residuals):
-                tangent = self.tangent(State(u, q, c), load)
+                tangent = self.tangent(State(u, q, c), load, touch)
             update = self._update(tangent, step, found)
             if update is None:
                 return outcome(state, "linear-solver")
             # An update that would turn an element inside out is halved twice, then the load is. Twice is measured:
             # half the way to the first J = 0 goes as far or further on coarse meshes, and slower on a fine one.
+            pressed = touch
+            if self.contact is not None:
+                pressed = self.contact.predicted(self._points + u, load.depth, touch, update[0])
             for damping in (1.0, 0.5, 0.25):
                 at = [old + damping * change for old, change in zip((u, q, c), update, strict=True)]
-                trial = self._residual(at[0], at[1], at[2], load)
+                at.append(np.maximum(touch + damping * (pressed - touch), 0.0))
+                trial = self._residual(at[0], at[1], at[2], load, at[3])
                 if trial.least_determinant > 0.0:
                     break
             else:
                 return outcome(state, "inverted")
-            (u, q, c), found = at, trial
-            residuals.append(found.relative)
+            (u, q, c, touch), found = at, trial
+            residuals.append(found.unsettled)
 
     def _passes(self, u: Array, load: ScaledLoad) -> bool:
         """Whether the indenter went through the surface."""
@@ -276,11 +286,15 @@ class Newton:
         if not step.any():
             wanted = max(0.1 * found.relative, 0.1 * self.tolerance / found.relative)
             forcing = float(np.clip(wanted, _LEAST_FORCING, _MOST_FORCING))
-        x, solved = self.solver.solve(tangent, -found.vector - tangent.action(step), forcing)
+        if (
+            self.contact is not None
+        ):  # what is left beside the penalty's forces is as much less beside the body's
+            forcing = max(forcing / PENALTY, _LEAST_FORCING)
+        x, solved = self.solver.solve(tangent, -found.linear - tangent.action(step), forcing)
         n, kept = self.system.n_displacements, self.system.kept
         fluid = np.zeros(len(found.fluid_gap))
         if len(fluid) and solved:  # bordered by the pressures in cavities, each of which keeps a volume
-            rows = [self._vector(push, np.zeros(len(x) - n)) for push in found.fluid_push]
+            rows = [self._nodal_rows(push) for push in found.fluid_push]
             answers = [self.solver.solve(tangent, row, forcing) for row in rows]
             solved = all(done for _, done in answers)
             given = np.einsum("knc,nc->k", found.fluid_push, step)
@@ -307,13 +321,14 @@ class Newton:
             replace(load, pressure=load.pressure + (self.cavities @ fluid)[:, None]) if len(fluid) else load
         )
 
-    def _residual(self, u: Array, q: Array, c: Array, load: ScaledLoad) -> _Residual:
+    def _residual(self, u: Array, q: Array, c: Array, load: ScaledLoad, touch: Array) -> _Residual:
         system = self.system
         internal = self.assembly.forces(u, system.pressure_scale * q)
         load = self._filled(load, c)
         external = load.forces + self.follower.forces(self._points + u, load.pressure)
         if self.contact is not None:
-            external = external + self.contact.forces(self._points + u, load.depth)
+            pushed = self.contact.forces(self._points + u, load.depth)
+            external = external + pushed
         unbalanced = internal.nodal - external
         pulled = np.zeros_like(u) if system.springs is None else system.springs.forces(u)
         unbalanced -= pulled
@@ -325,10 +340,23 @@ class Newton:
         scale = max(float(np.linalg.norm(a)) for a in (internal.nodal, external))
         volumes, gradients = self._fluid(u)
         gap = volumes - self._fluid_volumes
-        lacking = float(np.linalg.norm(vector)) / max(scale, noise / self.tolerance)
+        grown = float(np.abs(gap / self._fluid_volumes).max(initial=0.0))
+
+        def relative(rows: Array) -> float:
+            return max(float(np.linalg.norm(rows)) / max(scale, noise / self.tolerance), grown)
+
+        linear, unsettled = vector, relative(vector)
+        if self.contact is not None:
+            x = self._points + u
+            pulls = self.contact.predicted(x, load.depth, touch, np.zeros_like(u))
+            linear = vector - self._nodal_rows(self.contact.forces(x, load.depth, pulls) - pushed)
+            own = vector - self._nodal_rows(self.contact.forces(x, load.depth, touch) - pushed)
+            unsettled = max(relative(own), self.contact.lacking(x, load.depth, touch))
         return _Residual(
             vector,
-            max(lacking, float(np.abs(gap / self._fluid_volumes).max(initial=0.0))),
+            linear,
+            relative(vector),
+            unsettled,
             scale,
             np.where(system.held, unbalanced, 0.0) + pulled,
             external,
@@ -337,14 +365,18 @@ class Newton:
             gradients,
         )
 
+    def _nodal_rows(self, nodal: Array) -> Array:
+        """As `_vector`, without volume changes."""
+        return self._vector(nodal, np.zeros(self.system.mesh.n_pressures))
+
     def _vector(self, nodal: Array, volume: Array) -> Array:
         """The rows of the system from nodal forces and volume changes."""
         system = self.system
         top = np.where(system.held, 0.0, nodal)[system.kept].ravel()
         return np.concatenate([top, -system.pressure_scale * volume])
 
-    def tangent(self, state: State, load: ScaledLoad) -> TangentSystem:
-        """The tangent in a state."""
+    def tangent(self, state: State, load: ScaledLoad, touch: Array | None = None) -> TangentSystem:
+        """The tangent in a state, of an indenter that presses by `touch` (f, Q); left out: by its penalty."""
         system, pattern, coupling = self.system, self.pattern, self.coupling
         u, q, load = state.displacement, state.pressure, self._filled(load, state.fluid)
         blocks, volumes = self.assembly.tangent(u, system.pressure_scale * q)
@@ -352,7 +384,7 @@ class Newton:
         if system.springs is not None:
             system.springs.add_to(blocks, system.mesh, pattern)
         if self.contact is not None:
-            self.contact.add_stiffness(blocks, self._points + u, load.depth)
+            self.contact.add_stiffness(blocks, self._points + u, load.depth, touch)
         is_pressed = bool(load.pressure.any())
         if is_pressed:
             places, pressed = self.follower.stiffness(self._points + u, load.pressure)
