@@ -168,13 +168,11 @@ def test_a_surface_file_is_scaled_remeshed_and_filled_where_it_lies(tmp_path: Pa
         mesh.quality["volume"] / original.quality["volume"] - 1, abs=1e-5
     )
     assert 0 < mesh.quality["surface_distance_mean"] < mesh.quality["surface_distance_max"] < 2e-3
-    assert mesh.moved is not None
     assert original.moved is None
     assert mesh.moved.shape == (len(mesh.surface_nodes),)
     assert mesh.moved.max() == mesh.quality["surface_distance_max"]
     write_mesh(tmp_path / "mesh.npz", mesh)
     stored = read_mesh(tmp_path / "mesh.npz")
-    assert stored is not None
     assert_array_equal(stored.moved, mesh.moved)
     alone = build_mesh(shaped("file", 0.01, {"path": str(path), "scale": 1e-3}), volume=False)
     assert_array_equal(alone.moved, mesh.moved)

@@ -85,7 +85,6 @@ def test_a_linear_field_is_read_exactly_where_it_was_measured(tmp_path: Path) ->
     study = load(tmp_path, table, STUDY + "uncertainty = 0.001\n")
     matrix = np.arange(9.0).reshape(3, 3)
     found = hold_against(study, mesh, {"m": Answer(np.stack([mesh.points @ matrix.T] * 2))})
-    assert found is not None
     assert_allclose(found.simulated["m"], (matrix @ place)[:1], rtol=0, atol=1e-12)
     assert_allclose(found.quantities[0].distance, 0.0, atol=1e-12)
 
@@ -98,7 +97,6 @@ def test_error_and_uncertainty_by_hand(tmp_path: Path) -> None:
     levels = [Answer(field * factor) for factor in (1.05, 1.01, 1.0)]
     results = {"a": Answer(field * 1.05), "b": Answer(field), "none": Answer(field * np.nan)}
     found = hold_against(study, mesh, results, list(zip(("a", "", "b"), levels, strict=True)))
-    assert found is not None
     assert [(q.point, q.component, q.step) for q in found.quantities] == [
         ("top", "z", 1),
         ("side", "x", 0),
@@ -137,7 +135,6 @@ def test_a_measured_surface_is_as_far_as_it_is(tmp_path: Path) -> None:
             tmp_path, f"deformed_x,deformed_y,deformed_z\n{rows}\n", STUDY + "uncertainty = 0.0001\n"
         )
         found = hold_against(study, mesh, {"m": Answer(field), "lost": Answer(field * np.nan)})
-        assert found is not None
         assert [q.component for q in found.quantities] == [RMS, MOST]
         assert_allclose(found.simulated["m"], outward, rtol=1e-6, atol=1e-15)
         assert found.within("m").all() == (outward == 0.0)

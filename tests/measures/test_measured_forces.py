@@ -54,7 +54,6 @@ def test_forces_of_a_contact_by_hand(tmp_path: Path) -> None:
         "reaches no depth": Answer(sunk([0.01, 0.02, 0.04])),
     }
     found = hold_against(study, ball(), answers)
-    assert found is not None
     assert [(q.point, q.component, q.depth, q.unit) for q in found.quantities] == [
         ("finger", FORCE, 0.05, "N"),
         ("finger", FORCE, 0.1, "N"),
@@ -76,7 +75,6 @@ def test_forces_of_a_movement_are_reactions(tmp_path: Path) -> None:
     reaction[:, top, 2] = [-1.5, -3.0, -8.8]
     reaction[:, int(mesh.points[:, 2].argmin()), 2] = 5.0  # of the support, which is no part of it
     found = hold_against(study, mesh, {"m": Answer(sunk([0.025, 0.05, 0.1]), reaction)})
-    assert found is not None
     assert_allclose(found.simulated["m"], [3.0, 8.8], rtol=1e-9)
     assert found.within("m").tolist() == [True, True]
 
@@ -89,7 +87,6 @@ def test_forces_of_an_indenter_are_its_own(tmp_path: Path) -> None:
     still = np.zeros((3, 162, 3))
     answers = {"m": Answer(still, indenter_force=np.array([1.0, 3.0, 9.0])), "none": Answer(still)}
     found = hold_against(study, ball(), answers)
-    assert found is not None
     assert_allclose(found.error("m"), [0.0, 0.0], atol=1e-12)
     assert np.isnan(found.simulated["none"]).all()
 
@@ -109,7 +106,6 @@ def test_u_input_of_a_stiffness(tmp_path: Path, key: str, change: float, u_input
     ]
     own = {"m": Answer(sunk(depths.tolist()), linear=True)}
     found = hold_against(study, ball(), own, varied={"m": lambda: answers})
-    assert found is not None
     assert_allclose(found.inputs["m"], u_input * found.simulated["m"], rtol=1e-9, atol=1e-12)
     assert_allclose(found.uncertainty("m"), np.hypot([0.1, 0.2], found.inputs["m"]), rtol=1e-9)
 
@@ -124,7 +120,6 @@ def test_a_run_holds_its_models_against_a_curve(tmp_path: Path, cache: Path) -> 
     }
     (case,) = run(plan_of(tmp_path / "run", cache, tables=ONE_LOAD, **changes))
     found = case.measurement
-    assert found is not None
     for name in ("vdm-vector", "fem-linear"):
         u = case.models[name].displacement[0]
         finger = np.flatnonzero(case.regions["finger"])

@@ -46,10 +46,8 @@ def test_a_line_joins_measured_frames_with_no_time_of_one_answer() -> None:
     fine = dataclasses.replace(make_case({"vdm-m": 0.1}, subdivisions=2), hash="cd" * 32)
     for cases, marks in (([measured_anew(_case(HERE)), fine], 1), ([_case(HERE), fine], 2)):
         section = run_time_against_error(Digest(make_run(cases)))
-        assert section is not None
         (chart, *_) = next(block for block in section.blocks if isinstance(block, Figures)).figures
         told = re.search('data-told="([^"]+)"', chart.svg)
-        assert told is not None
         assert len(json.loads(unescape(told[1]))) == marks
 
 
@@ -60,7 +58,6 @@ def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
     assert cost.marks == ()
     assert (cost.frame, cost.everywhere) == (4e-4, 8e-4)
     own = case.models["vdm-m"]
-    assert own.frames is not None
 
     def marks(frames: FrameTimes | None) -> tuple[str, ...]:
         models = case.models | {"vdm-m": dataclasses.replace(own, frames=frames)}

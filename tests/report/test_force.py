@@ -74,7 +74,6 @@ def test_force_of_an_indenter_over_its_depth() -> None:
     touched = dataclasses.replace(case.models[REFERENCE], scalars={"indenter_force": np.array([0.2, 0.7])})
     pushed = dataclasses.replace(case, models={**case.models, REFERENCE: touched})
     section = force_against_indentation(Digest(make_run([pushed])))
-    assert section is not None
     (figures,) = (block for block in section.blocks if isinstance(block, Figures))
     (words,) = re.findall(r'aria-label="([^"]*)"', "".join(str(figure.svg) for figure in figures.figures))
     assert "to 700 mN at 4 mm" in words

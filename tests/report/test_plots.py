@@ -31,7 +31,6 @@ def test_a_line_joins_the_medians_of_cases_that_share_a_value() -> None:
         for k, error in enumerate((3, 5, 12))
     ]
     section = errors(Digest(make_run(cases)))
-    assert section is not None
     figures = [figure for block in section.blocks if isinstance(block, Figures) for figure in block.figures]
     assert [figure.title[-2:] for figure in figures] == ["nu", "nu", " k", " k"]
     assert figures[0].svg.count("data-told") == 1
@@ -44,5 +43,4 @@ def test_where_the_mesh_size_is_swept_the_order_of_each_error_is_told() -> None:
         for h in (0.01, 0.02, 0.04)
     ]
     section = errors(Digest(make_run(cases)))
-    assert section is not None
     assert "in the mesh size: m 1.50 and n 0.00" in section.blocks[0].text

@@ -54,7 +54,6 @@ def fails(path: Path, content: bytes | str) -> str:
     """The one problem of a file with this content."""
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     error = attempt(path)
-    assert error is not None
     [problem] = error.problems
     return f"{problem.line}: {problem.key}: {problem.message}"
 

@@ -148,8 +148,6 @@ def test_febio_scene_is_of_the_documented_format(body: Handout, out: Path) -> No
     assert_allclose([floats(each) for each in elements], body.mesh.tetrahedra + 1)
     domain = root.find("MeshDomains/SolidDomain")
     material = root.find("Material/material")
-    assert domain is not None
-    assert material is not None
     assert (domain.attrib["name"], domain.attrib["mat"]) == ("part", material.attrib["name"])
     assert [float(material.findtext(key, "")) for key in ("density", "E", "v")] == [1000.0, 5000.0, 0.49]
     sets = {each.attrib["name"]: [int(x) - 1 for x in floats(each)] for each in root.findall("Mesh/NodeSet")}
@@ -226,10 +224,8 @@ def test_mujoco_scene_holds_masses_forces_and_moves(body: Handout, out: Path) ->
         moved[int(joint[1:-1]), "xyz".index(joint[-1])] = float(each.attrib["polycoef"].split()[0])
     assert_allclose(moved, body.displacement)
     law = root.find("deformable/flex/elasticity")
-    assert law is not None
     assert (float(law.attrib["young"]), float(law.attrib["poisson"])) == (5e9, 0.49)
     flex = root.find("deformable/flex")
-    assert flex is not None
     assert flex.attrib["element"].split() == [str(k) for k in body.mesh.tetrahedra.ravel()]
 
 

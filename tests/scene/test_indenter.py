@@ -147,7 +147,6 @@ def test_every_model_takes_it_or_refuses_it_by_name(box: Mesh, name: str) -> Non
 
 def test_it_touches_first_at_depth_zero(box: Mesh) -> None:
     scene = build_scene(study(TOUCH | {"push": [0.0, 0.0, -2.0]}), box)
-    assert scene.indenter is not None
     tip = np.asarray(scene.indenter.indenter.tip)
     assert_allclose(tip[:2], 0.0, atol=1e-12)  # the middle of the top
     nodes = box.surface_points[scene.regions["top"]]

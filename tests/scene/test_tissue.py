@@ -206,7 +206,6 @@ def test_a_group_of_tetrahedra_is_kept_with_the_mesh(bar: Mesh, tmp_path: Path) 
     assert set(bar.volumes) == {"cap"}, "a group of a surface has no tetrahedra"
     write_mesh(tmp_path / "mesh.npz", bar)
     stored = read_mesh(tmp_path / "mesh.npz")
-    assert stored is not None
     assert stored.content_hash == bar.content_hash
     plane = {"name": "upper", "above": {"axis": "z", "fraction": 0.5}, "youngs_modulus": 1800.0}
     by_box, *others = (build_scene(study(inclusions=[part]), stored) for part in (UPPER, group, plane))

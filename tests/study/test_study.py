@@ -34,21 +34,16 @@ def test_every_value_is_in_si(tmp_path: Path) -> None:
     }
     assert study.model_parameters() == {"vdm-vector:nonlinear": {"surface_tension": 60.0}}
     cap = study.regions["finger"].cap
-    assert cap is not None
     assert cap.angle == pytest.approx(math.radians(25), rel=1e-15)
     base, tip, moved = study.constraints
     assert (base.name, tip.name, moved.name) == ("base", "tip", "rest")
     assert (tip.pressure, tip.force, tip.profile) == (200.0, None, "hertz")
     assert moved.displacement == (0.0, 0.0, -0.005)
     assert study.load.factors == (0.25, 1.0)
-    assert study.gravity is not None
     assert study.gravity.acceleration == (0.0, 0.0, -9.81)
-    assert study.environment is not None
     assert study.environment.pressure == 100.0
-    assert study.limits is not None
     assert study.limits.thresholds == (0.05, 0.10)
     rest = study.regions["rest"]
-    assert rest.box is not None
     assert rest.box.max == (0.01, 1.0, 1.0)
 
 

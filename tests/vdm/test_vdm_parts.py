@@ -24,7 +24,7 @@ from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFac
 from vdm.peers.bem_sparse import SparseFormulation
 from vdm.solution import SolverError, Status
 from vdm.solvers.linear import LinearSolver
-from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver
+from vdm.solvers.nonlinear import NonlinearSolver
 
 Array = np.ndarray
 E, LENGTH, SIDE = 3e4, 0.1, 0.01
@@ -210,7 +210,6 @@ def test_a_correction_has_the_slope_of_the_state(gravity: tuple[float, float, fl
 def test_a_part_that_swells_as_one_costs_nothing() -> None:
     """The product of rank 2 is P^T S P, and the factor by Woodbury that of the sum."""
     form = clamped(BAR).formulation
-    assert isinstance(form, BoundaryFormulation)
     swelling, surface = Swelling.of(form), form.surface
     arms = surface.points - surface.points.mean(axis=0)
     g, x = surface.area_vectors.reshape(-1), arms.reshape(-1)
@@ -354,10 +353,8 @@ def test_a_beam_bends_as_the_elastica(monkeypatch: pytest.MonkeyPatch) -> None:
     assert max(sizes) < len(points)
     tip = found.displacement[0][points[:, 0] > LENGTH - 1e-9].mean(axis=0) / LENGTH
     assert_allclose(tip[[2, 0]], [-0.4935, -0.1606], rtol=0.04, atol=0.0)
-    assert isinstance(model.solver, PartsSolver)
     assert found.scalars["parts"][0] >= 4
     assert found.scalars["parts_error"][0] < 0.03
-    assert found.part_of_node is not None
     own = model.solver.body.cut.parts
     facets = {tuple(row): k for k, part in enumerate(own, 1) for row in part.tolist()}
     whole = [row for row in BAR[1].tolist() if tuple(row) in facets]  # but at the rim
@@ -453,7 +450,6 @@ def test_a_body_that_is_strained_too_far_is_not_cut_for_it() -> None:
     """Where no balance is found and its parts hardly turn, more parts are as strained; where they turn it is."""
     model = clamped(ROD, share=0.3)
     found = model.solve([at_tip(ROD[0], np.array([0.01, 0.0, 0.0]))])
-    assert isinstance(model.solver, PartsSolver)
     ended = Status("not-converged", "ended")
     x = ROD[0] - ROD[0].min(axis=0)
     bent = np.stack([-x[:, 0] * x[:, 2], 0.0 * x[:, 0], 0.5 * x[:, 0] ** 2], axis=1) / x[:, 0].max()
@@ -467,7 +463,6 @@ def test_a_body_whose_answer_turns_as_its_linear_one_did_not_is_cut_for_it() -> 
     """By more than 10 degrees within it; not where it turns as one, as far as that may be."""
     model = clamped(ROD, share=0.3)
     found = model.solve([at_tip(ROD[0], np.array([0.01, 0.0, 0.0]))])
-    assert isinstance(model.solver, PartsSolver)
     x = ROD[0] - ROD[0].min(axis=0)
     bent = np.stack([-x[:, 0] * x[:, 2], 0.0 * x[:, 0], 0.5 * x[:, 0] ** 2], axis=1) / x[:, 0].max()
     turned = x @ np.diag([-1.0, -1.0, 1.0]) - x
@@ -478,7 +473,6 @@ def test_a_body_whose_answer_turns_as_its_linear_one_did_not_is_cut_for_it() -> 
 def test_twice_the_parts_are_compared_in_their_change_of_shape_too() -> None:
     """Where it is a small share of what moves; what is carried as one has none."""
     solver = clamped(ROD, share=0.3).solver
-    assert isinstance(solver, PartsSolver)
     x, quarter = ROD[0], np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
     def carried(strain: float) -> Array:
@@ -545,11 +539,8 @@ def test_parts_at_a_rim_are_one_body(body: tuple[Array, Array], share: float, co
 @pytest.mark.parametrize("ratio", [0.4, 0.5])
 def test_a_body_is_led_back_from_its_sag_to_rest_by_the_slope_of_what_is_tried(ratio: float) -> None:
     model = clamped(ROD, 0.2, density=1e3, gravity=(0.0, 10.0, -60.0), parts=2, poisson_ratio=ratio)
-    assert isinstance(model.solver, PartsSolver)
     body, load = model.solver.body, Load(np.zeros(len(ROD[0])))
     step = model.solver.step(load)
-    assert isinstance(step, DeformedStep)
-    assert step.balance is not None
     seen = body.cut.points + step.balance.x
     sag = np.abs(step.balance.x).max()
     assert sag > 0.005
@@ -570,8 +561,6 @@ def test_a_body_is_led_back_from_its_sag_to_rest_by_the_slope_of_what_is_tried(r
     left = 1e-5 if ratio == 0.5 else 2e-4  # what quadrature leaves of a uniform pressure turns with a part
     assert_allclose((near[1].gap - near[0].gap) / (2.0 * h), -gap, rtol=0.0, atol=left)
     led = NonlinearSolver(body.problem, back, model.solver.factor).step(load)
-    assert isinstance(led, DeformedStep)
-    assert led.balance is not None
     assert_allclose(led.balance.x, -step.balance.x, rtol=0.0, atol=1e-6 * sag)
 
 
@@ -593,7 +582,6 @@ def test_a_search_for_a_rest_shape_takes_double_precision(monkeypatch: pytest.Mo
 
 def test_a_load_that_cannot_be_undone_is_named_with_the_share_that_was() -> None:
     model = clamped(ROD, 0.2, density=1e3, gravity=(0.0, 0.0, -1e5), parts=2)
-    assert isinstance(model.solver, PartsSolver)
     search = Unloading(model.solver, Load(np.zeros(len(ROD[0]))))
     with pytest.raises(SolverError, match=r"beyond \d+ % of its weight the scan cannot be undone"):
         search.rest(model.solver)

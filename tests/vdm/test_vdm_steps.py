@@ -148,7 +148,6 @@ def test_frames_of_a_resting_contact_equal_the_full_solve(solver):
         assert error_of_a_frame(contact, solver, PATCH, pressure) < 1e-6
         assert (contact._short is not None) == (k > 0), "shortened at the second frame"
     short = contact._short
-    assert short is not None
     assert len(short.bases) == solver.formulation.components
     assert all(basis.shape[1] < 30 for basis in short.bases)
     assert sum(basis.shape[1] for basis in short.bases) == len(short.mixes)

@@ -21,7 +21,6 @@ def digest() -> Digest:
 
 def test_spread_takes_medians_the_largest_size_and_its_own_bar() -> None:
     spread = spread_of(np.array([0.1, -0.5, 0.3, math.nan]), np.array([0.02, 0.01, math.nan, 0.1]))
-    assert spread is not None
     assert (spread.value, spread.worst, spread.worst_bar) == (0.1, -0.5, 0.01)
     assert_allclose(spread.bar, 0.015, rtol=RTOL, atol=ATOL)
     assert spread.cases == 3
@@ -51,5 +50,4 @@ def test_a_failed_case_is_no_key_case() -> None:
     ]
     vector = digest.spread("m", VECTOR)
     assert digest.stopped("m") == 1
-    assert vector is not None
     assert vector.cases == 3

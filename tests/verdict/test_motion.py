@@ -71,7 +71,5 @@ def test_the_normal_error_leads_for_a_form_along_normals_beside_its_floor() -> N
     assert np.isnan(digest.floor("vdm-vector"))
     found = verdicts(digest)
     printed, derived = found["vdm-printed"].figures, found["vdm-derived"].figures
-    assert printed is not None
-    assert derived is not None
     assert (printed.lead, derived.lead) == ("normal error", "displacement error")
     assert_allclose(printed.value, 0.1, rtol=1e-9, atol=0)

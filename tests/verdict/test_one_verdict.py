@@ -45,7 +45,6 @@ def test_page_terminal_json_and_notebook_say_the_same(capsys: pytest.CaptureFixt
     words = told(found)
     assert len(words["rows"]) == 2
     for row, one in zip(words["rows"], found.asked, strict=True):
-        assert one.figures is not None
         number = measure(one.figures.value, bar=one.figures.bar)
         assert f"{row['title']}: {row['word']}. {row['text']}" in terminal
         assert f"{one.figures.lead} {number}" in row["numbers"]

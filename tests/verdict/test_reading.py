@@ -43,7 +43,6 @@ def case(
 
 def test_the_first_step_that_failed_says_why() -> None:
     read = reading(case({}, stopped={NONLINEAR: 1}), NONLINEAR)
-    assert read is not None
     assert (read.code, read.message) == ("diverged", "the volume could not be held at load factor 0.5")
 
 
@@ -54,7 +53,6 @@ def test_what_is_called_converged_and_is_not_right_is_told() -> None:
         (unsolved, DIRECT, "residual of 1.0e-05"),
     ):
         read = reading(made, name)
-        assert read is not None
         assert read.code == WRONG
         assert told in read.message
     assert reading(off, DIRECT) == CONVERGED
@@ -66,7 +64,6 @@ def test_single_precision_may_leave_a_larger_residual(residual: float, silent: b
     single = dataclasses.replace(one, models={"vdm-paper:single": one.models[DIRECT]})
     for made, name, expected in ((single, "vdm-paper:single", silent), (one, DIRECT, True)):
         read = reading(made, name)
-        assert read is not None
         assert (read.code == WRONG) == expected
 
 
@@ -78,7 +75,6 @@ def test_what_is_left_without_load_counts(scale: float) -> None:
     u[-1] = scale * u[1]
     models = {NONLINEAR: dataclasses.replace(result, displacement=u)}
     read = reading(dataclasses.replace(there_and_back, models=models), NONLINEAR)
-    assert read is not None
     assert (read.code == WRONG) == (scale > 1e-3)
 
 
@@ -99,7 +95,6 @@ def test_a_quasi_linear_step_that_is_too_long_is_told_from_a_wrong_number() -> N
     quasi = "vdm-paper:quasi-linear"
     one = dataclasses.replace(there_and_back, models={quasi: dataclasses.replace(result, displacement=u)})
     read = reading(dataclasses.replace(one, metrics={}), quasi)
-    assert read is not None
     assert read.code == "step-too-long"
     assert "1.0e-02 of the displacement stays" in read.message
 
@@ -115,8 +110,6 @@ def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> No
     )
     grew = dataclasses.replace(sound, models=results, metrics=dict.fromkeys(results, measured))
     direct, nonlinear = (reading(grew, name) for name in (DIRECT, NONLINEAR))
-    assert direct is not None
-    assert nonlinear is not None
     assert nonlinear.ok
     if grown < 0.1:  # 0.5 %
         assert direct.ok
@@ -126,5 +119,4 @@ def test_a_linear_answer_to_a_load_that_is_too_large_is_told(grown: float) -> No
         scalars = {"relative_residual": np.full(1, 1e-3)}
         unsolved = dataclasses.replace(results[DIRECT], scalars=scalars)
         read = reading(dataclasses.replace(grew, models={DIRECT: unsolved}), DIRECT)
-        assert read is not None
         assert read.code == "wrong", "a load that is too large excuses no residual"

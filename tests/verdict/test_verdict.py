@@ -189,12 +189,9 @@ def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
     growing = case.load_factors * 0.15
     metrics = {**case.metrics, MODEL: {**case.metrics[MODEL], name: growing}}
     reached = verdict(make_run([dataclasses.replace(case, metrics=metrics)])).up_to
-    assert reached is not None
     assert (reached.load, reached.unit, reached.all) == (pytest.approx(0.25), "N", False)
     assert reached.depth == pytest.approx(1e-3, rel=0.05)
     whole, none = (verdict(make_run([make_case({MODEL: e})])).up_to for e in (0.05, 0.2))
-    assert whole is not None
-    assert none is not None
     assert (whole.all, none.none) == (True, True)
     assert verdict(make_run([make_case({MODEL: math.nan})])).up_to is None  # it answers at no load
 

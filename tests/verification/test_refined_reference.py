@@ -181,6 +181,5 @@ def test_levels_of_a_surface_model_without_an_inside() -> None:
     levels = levels_of(study, scene, "vdm-consistent", 4)
     assert levels[-1].displacement.shape == (2, len(scene.fixed), 3)
     estimate = stored_estimate(own_error(scene.surface, levels[::-1], scene.load_factors))
-    assert estimate is not None
     assert estimate.behaviour == "converging"
     assert estimate.error < 0.01

@@ -32,6 +32,5 @@ def test_an_answer_is_read_back_as_it_was(tmp_path: Path) -> None:
     )
     write_answer(tmp_path / "a.npz", stored)
     found = read_answer(tmp_path / "a.npz")
-    assert found is not None
     for name, value in dataclasses.asdict(stored).items():
         np.testing.assert_equal(dataclasses.asdict(found)[name], value, err_msg=name)
