@@ -1,7 +1,5 @@
 """Bodies for tests, by their keys, and the models that tests of what acts on a body go through."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Runs the `vdmbench` command: in this process, or as a user would, the installed script."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import io

@@ -1,7 +1,5 @@
 """What processes of their own do, done in this one: the tasks of a plan."""
 
-from __future__ import annotations
-
 from concurrent.futures import Future
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The house: arrows between rooms go one way, libraries stand alone, and what starts loads what it needs."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

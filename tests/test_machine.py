@@ -1,7 +1,5 @@
 """Memory against arrays of known size; processors; files that are whole, and locks."""
 
-from __future__ import annotations
-
 import os
 import stat
 import subprocess

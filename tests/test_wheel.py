@@ -1,7 +1,5 @@
 """The wheel holds all that the command needs: installed alone, away from this checkout, it runs a study."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

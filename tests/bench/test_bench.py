@@ -1,7 +1,5 @@
 """A benchmark is a run of a study on several mesh sizes; its table, on numbers chosen by hand."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

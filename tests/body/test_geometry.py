@@ -1,7 +1,5 @@
 """Shapes to meshes: exactness, order, determinism, the surface alone, the organ, files and the cache."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

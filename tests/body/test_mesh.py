@@ -1,7 +1,5 @@
 """Meshes as arrays: measures, orientation, the checks of closed surfaces, slivers and shifts, refinement."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Mesh files that are broken, cut, mixed up or malicious: one clear line each, no output, no wrong mesh."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path

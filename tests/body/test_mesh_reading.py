@@ -3,8 +3,6 @@
 The changes come from a seeded generator, so that a failure is found again by its number.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import os
 import resource

@@ -1,7 +1,5 @@
 """Fits of surface-model parameters: known answers are recovered, of moved regions too, by training loads alone."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

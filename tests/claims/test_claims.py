@@ -1,7 +1,5 @@
 """The paper's claims: words from counts, rules on one case, and the stored grid measured again."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

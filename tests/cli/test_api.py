@@ -1,7 +1,5 @@
 """The workbench from Python: one run with changes to its study, and all that its results give."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

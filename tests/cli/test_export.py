@@ -1,7 +1,5 @@
 """`vdmbench export`: tables, figures and meshes that other programs read; a mesh lies on the scan it came from."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

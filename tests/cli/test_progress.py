@@ -1,7 +1,5 @@
 """How far a run is: on a terminal, and in a pipe that has heard nothing for long."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

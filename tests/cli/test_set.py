@@ -1,7 +1,5 @@
 """`--set KEY=VALUE`: a study with some of its values changed on the command line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The documents are true: commands run, tables are what is printed, links lead somewhere; so does a release."""
 
-from __future__ import annotations
-
 import json
 import pkgutil
 import re

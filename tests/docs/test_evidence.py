@@ -1,7 +1,5 @@
 """The tables of the documents come from `tools/evidence.toml`: small runs give the rows that are shown."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import tomllib

@@ -1,7 +1,5 @@
 """Engines of others, through the door for plug-ins and by an export: held to ours on the same problem."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import json

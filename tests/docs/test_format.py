@@ -1,7 +1,5 @@
 """`results/FORMAT.md` and the files hold together: each names all that the other has."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Errors against known answers; records them against mesh size and judges the observed order."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

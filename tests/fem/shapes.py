@@ -1,7 +1,5 @@
 """Tetrahedral test bodies by numpy and scikit-fem, and short cuts to set problems up on them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Flat facets follow a curved surface with an error of order h^2, which hides the 
 apart: given the exact displacement on the same flat-faceted boundary, the error inside falls with order 3.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

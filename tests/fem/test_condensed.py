@@ -1,7 +1,5 @@
 """The condensed problem: equal to the linear solve, and clear about what it cannot do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rigid indenters: Hertz, Boussinesq's punch, the bonded thin layer of Dimitriadis; and at finite strain."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

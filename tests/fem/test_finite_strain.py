@@ -1,7 +1,5 @@
 """The finite-strain problem: tangent, invariance, exact homogeneous states, balance, load histories, failures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

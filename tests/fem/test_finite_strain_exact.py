@@ -5,8 +5,6 @@ displacements given on the same flat-faceted surface, and with manufactured solu
 falls with the element's own order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

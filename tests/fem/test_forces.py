@@ -1,7 +1,5 @@
 """Given forces: resultant and moment on every mesh level, and closed forms of shear, bending and torsion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

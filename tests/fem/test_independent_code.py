@@ -4,8 +4,6 @@ Needs the extra `benchmark`. Both codes get the same points, tetrahedra, support
 the same quadrature points, so that they must agree to what their solvers reach and not only to the mesh's error.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

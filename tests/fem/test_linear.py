@@ -1,7 +1,5 @@
 """The linear problem: outputs, balance, superposition, fibres, condition, and assembly against scikit-fem."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

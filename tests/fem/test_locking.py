@@ -1,7 +1,5 @@
 """Volumetric locking: what the displacement elements do wrong and the mixed element right."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

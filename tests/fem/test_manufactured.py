@@ -5,8 +5,6 @@ gradient part. Five faces of a distorted cube are held at exact values, the sixt
 body force and traction enter through scikit-fem's own forms.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Finite-strain laws against finite differences, their symmetries and their small-strain limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The plain path: scikit-fem's own forms, against the fast path and against what is known of any equilibrium."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

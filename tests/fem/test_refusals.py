@@ -1,7 +1,5 @@
 """What means nothing is refused before anything is solved: one sentence each, and what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Moduli per tetrahedron and elastic supports against closed forms; springs towards both limits: tests/scene."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

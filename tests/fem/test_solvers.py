@@ -1,7 +1,5 @@
 """Sparse solvers, their choice and their limits."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

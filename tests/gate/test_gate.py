@@ -1,7 +1,5 @@
 """Accuracy baselines: what is worse, better, failing and not comparable; exit codes; runs side by side."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Another program's result: read, put on the mesh, and judged like a model of the study."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How well inputs are known: read from a study, varied as parts of its graph, and what comes of it."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from importlib import resources

@@ -1,7 +1,5 @@
 """The search for small-strain limits on paths whose crossings are known in closed form."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What was measured: read from a file, put on a mesh, and models held against it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

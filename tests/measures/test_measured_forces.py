@@ -1,7 +1,5 @@
 """Force against depth: read from a file, simulated by hand, and told beside the models."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

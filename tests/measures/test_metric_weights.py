@@ -1,7 +1,5 @@
 """The weights in the metrics: every one on a surface of uneven areas, by loops over its facets and nodes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

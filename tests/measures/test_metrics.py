@@ -1,7 +1,5 @@
 """Each metric: a case computed by hand, zero, and a known perturbation."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

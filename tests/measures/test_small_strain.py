@@ -1,7 +1,5 @@
 """The small-strain limits of a real scene, held against runs of the models at the loads that were found."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Error estimates from mesh levels, on sequences whose error is known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

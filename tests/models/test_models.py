@@ -1,7 +1,5 @@
 """The registry: every name that a study can write runs and agrees with its siblings; frames; fibres."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
@@ -239,7 +237,7 @@ def pressed() -> Scene:
     return build_scene(study, build_mesh(study.geometry))
 
 
-def problem_of(scene: Scene, name: str) -> models.PressureProblem | None:
+def problem_of(scene: Scene, name: str) -> Any:
     """What answers contact pressures linearly, set up."""
     set_up = models.Prepared(scene, name).set_up
     assert set_up is not None

@@ -1,7 +1,5 @@
 """Models of other packages: what is wrong in them costs them alone, by name, and changes nothing of others."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import time

@@ -1,7 +1,5 @@
 """A body that was scanned under its weight: its rest shape is recovered, and loads start from the scan."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

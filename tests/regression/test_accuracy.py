@@ -3,8 +3,6 @@
 Where a change is meant to move the numbers: `make baselines REASON="why"`, and look at the difference.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The shipped calibrations come out again, and their documents say what they hold."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

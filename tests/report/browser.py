@@ -1,7 +1,5 @@
 """Headless Chromium over its debugging pipe: opens a page, measures it, clicks, takes pictures. No network."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

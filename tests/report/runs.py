@@ -1,7 +1,5 @@
 """Runs made by hand for tests of the report: a ball that deforms by a P_2 mode, models off by known amounts."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The page in a real browser: nothing complains, nothing is fetched, the viewer draws what the numbers say."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

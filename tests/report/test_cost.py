@@ -1,7 +1,5 @@
 """Times that are not simply those of a solve in this run are marked where they are shown."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

@@ -1,7 +1,5 @@
 """Force against indentation, for contacts under a pressure and for regions that are moved."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """Names, texts and numbers from elsewhere: none of them may become markup, script or a crash of the report."""
 
-from __future__ import annotations
-
 import dataclasses
 import html.parser
 import re

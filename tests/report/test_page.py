@@ -1,7 +1,5 @@
 """The page as text: what stands in it, the same bytes from the same run, its size, its security policy."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import difflib

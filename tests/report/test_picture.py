@@ -1,7 +1,5 @@
 """Still pictures: what is in front hides what is behind, colours and outlines are where they belong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

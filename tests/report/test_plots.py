@@ -1,7 +1,5 @@
 """Charts: what a curve shows and what the page's script is told of it."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

@@ -1,7 +1,5 @@
 """The scene on the page: what was computed, in words with their ranges, and in a picture below the verdict."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

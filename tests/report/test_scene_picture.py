@@ -1,7 +1,5 @@
 """The scene's picture: parts, arrows and scale are where the arrays say, seen from where they show."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

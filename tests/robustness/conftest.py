@@ -1,7 +1,5 @@
 """A run that nothing disturbed, for the tests that disturb others."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

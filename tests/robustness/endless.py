@@ -1,7 +1,5 @@
 """The command with tasks that never end."""
 
-from __future__ import annotations
-
 from vdmbench.cli.main import main
 from vdmbench.work import pool
 

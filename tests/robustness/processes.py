@@ -1,7 +1,5 @@
 """Runs of the command as processes that can be watched and killed, and what must hold of what they leave."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

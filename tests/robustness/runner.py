@@ -1,7 +1,5 @@
 """The command without the drawing of its report, most of a small run's time: for runs by the hundred."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import ModuleType

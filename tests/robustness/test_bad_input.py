@@ -4,8 +4,6 @@ Mistakes of a study are in `tests/study/mistakes.toml`. A timeout, memory that r
 need real processes: `tests/work/test_pool.py` and `test_memory_limit`.
 """
 
-from __future__ import annotations
-
 import errno
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Before anything is solved: `new`, `check`, `show`, how a study is found, whose directory a run may take."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runs on a Dask cluster: two workers on this machine, started by the documented commands, and what goes wrong."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The command line on good days and bad ones: exit codes, one clear line, nothing lost."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Stored files that were cut, altered or renamed: found, told or made again, never read as good."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

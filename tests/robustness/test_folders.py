@@ -1,7 +1,5 @@
 """No stored file says in which folder a surface lies: that may name a patient. Its name and its hash are enough."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runners and workers killed at random moments: what is complete stays, what is half-written is never read."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

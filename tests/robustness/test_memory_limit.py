@@ -1,7 +1,5 @@
 """A shell with a limit of memory, in a folder of programs; what a worker may not take is a matter of the pool."""
 
-from __future__ import annotations
-
 import resource
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Standard streams that are closed, full or of another encoding change neither what is done nor the exit code."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

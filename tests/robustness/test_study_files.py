@@ -1,7 +1,5 @@
 """Whatever the study file holds, it is a Study or a StudyError with sentences: never another exception."""
 
-from __future__ import annotations
-
 import json
 import os
 import tomllib

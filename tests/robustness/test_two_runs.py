@@ -1,7 +1,5 @@
 """Runs at the same time, as processes: on one directory, and on one cache."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bodies with cavities, by a study: empty or filled with a fluid, against Lame's hollow ball and each other."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A study's scene as files of other programs: each read back by a reader of its own, and held to the scene."""
 
-from __future__ import annotations
-
 import ast
 import json
 import resource
@@ -178,7 +176,7 @@ class Node:
     def addObject(self, kind: str, **data: Any) -> None:
         self.objects.append((kind, data))
 
-    def addChild(self, name: str) -> Node:
+    def addChild(self, name: str):
         self.children[name] = Node()
         return self.children[name]
 

@@ -1,7 +1,5 @@
 """A rigid indenter by a study: Hertz's force and area, its place, and who takes it."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

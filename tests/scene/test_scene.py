@@ -1,7 +1,5 @@
 """A study's scene on real meshes: regions, the same load for every model, wherever the body lies."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Doubts about scenes: supports without an area, contacts on both faces, forces beyond the body; none elsewhere."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

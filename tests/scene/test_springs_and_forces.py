@@ -1,7 +1,5 @@
 """Springs to the ground and dead forces on a line or a part of the surface, by a study: in every model."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

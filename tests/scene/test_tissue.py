@@ -1,7 +1,5 @@
 """What the tissue is, by a study: parts of the inside with moduli of their own, and laws of large strain."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any, get_args

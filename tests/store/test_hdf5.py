@@ -1,7 +1,5 @@
 """A file is what plain h5py would read and would have written, and each of its arrays is where it is said to be."""
 
-from __future__ import annotations
-
 import io
 import time
 from collections.abc import Mapping, Sequence

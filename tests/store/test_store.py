@@ -1,7 +1,5 @@
 """What is written is what is read, by us and by VTK; what is damaged is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

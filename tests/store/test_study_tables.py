@@ -1,7 +1,5 @@
 """The tables of a whole study: load factors and bars as they are, what has no bar left out."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """Sound study files, and what reads them: for the tests of the study file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

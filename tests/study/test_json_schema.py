@@ -1,7 +1,5 @@
 """The JSON schema of study files takes every shipped study and tells mistakes as the program does."""
 
-from __future__ import annotations
-
 import tomllib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every mistake in a study file is told with its line, its key and a sentence that helps: see `mistakes.toml`."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

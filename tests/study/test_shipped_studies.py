@@ -1,7 +1,5 @@
 """Every shipped study is sound and can be planned; the small ones run to the end."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

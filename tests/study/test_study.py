@@ -1,7 +1,5 @@
 """A study file becomes one typed study in SI values, and stays it as JSON."""
 
-from __future__ import annotations
-
 import json
 import math
 from decimal import Decimal

@@ -1,7 +1,5 @@
 """A sweep becomes cases with SI values, in order, each a valid study."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

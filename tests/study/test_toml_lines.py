@@ -1,7 +1,5 @@
 """The position scanner finds the same keys as tomllib, each on the line where it is written."""
 
-from __future__ import annotations
-
 import tomllib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The Galerkin boundary operators: rigid motions, pressures, Kelvin's fields, and facets that share a traction."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

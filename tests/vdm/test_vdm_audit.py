@@ -4,8 +4,6 @@ The truth is the same linear system, solved in double precision and refined with
 of the condition are held to numpy's.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """What means nothing is refused: one sentence each, before anything is solved. Supports: `test_vdm_model`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 

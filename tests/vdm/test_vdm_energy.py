@@ -1,7 +1,5 @@
 """Large deformation, every formulation: forces from an energy, work, unloading, and turning with the body."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Each operator against the energy or the equation it stands for, summed edge by edge or spring by spring."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

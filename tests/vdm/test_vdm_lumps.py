@@ -1,7 +1,5 @@
 """Lumps in a body of boundary elements, against the exact answer of a layered ball and against no lump at all."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The entry `Model`: identities of the linear model, shortcuts, bad input, and bodies that lie otherwise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

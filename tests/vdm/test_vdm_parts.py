@@ -1,7 +1,5 @@
 """A body of boundary elements in parts: cuts, the energy that all follows from, and a beam bent far."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

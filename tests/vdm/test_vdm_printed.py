@@ -1,7 +1,5 @@
 """The paper as printed: equations 10 to 15, 17, 20 and 33, Figure 8, and its time step read as an increment."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

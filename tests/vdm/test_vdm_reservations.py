@@ -1,7 +1,5 @@
 """What a form and its mesh leave open of an answer, by pure bending and by half the nodes: told beyond a tenth."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Facets that are cut along the rims of what is held: the same body, all nodes' answer, and a better one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """Every solver against the direct one, the border against Sherman-Morrison, large deformation, warm steps."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A frame computes what is asked of it and no more; of a resting contact it is a shortened product."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

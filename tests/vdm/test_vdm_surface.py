@@ -1,7 +1,5 @@
 """Areas, volumes, normals and the checks of `SurfaceMesh` and of the deformed surface."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import meshio

@@ -1,7 +1,5 @@
 """Closed surfaces made in plain numpy for the tests of `vdm`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The limits of [acceptance]: read from a study, held against each case, and no part of any result."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

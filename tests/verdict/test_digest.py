@@ -1,7 +1,5 @@
 """What the report says, against numbers known from how the runs were made."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The frame: one long table of a run. Its values: `tests/store/test_study_tables.py`."""
 
-from __future__ import annotations
-
 from tests.report.runs import sweep_run
 from vdmbench.measures.case import Run
 from vdmbench.measures.frame import COLUMNS, COSTS, at_full_load, frame

@@ -1,7 +1,5 @@
 """What an answer's motion is made of: closed forms on a ball, and the floor of forms along normals."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Page, terminal, JSON and Python take one verdict: the same words and numbers stand in all of them."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

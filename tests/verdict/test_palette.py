@@ -1,7 +1,5 @@
 """A model keeps its colour and marker in every report."""
 
-from __future__ import annotations
-
 import itertools
 
 from vdmbench.report.plots import look

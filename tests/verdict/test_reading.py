@@ -1,7 +1,5 @@
 """What a solver made of a case: breakdowns told, and what is called converged and is not right."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

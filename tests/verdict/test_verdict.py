@@ -1,7 +1,5 @@
 """The verdicts by family, against runs whose errors are known."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

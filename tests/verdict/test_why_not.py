@@ -1,7 +1,5 @@
 """Why a model is not within its limits: each cause on a run that shows it and on one that does not."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

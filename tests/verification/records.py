@@ -6,8 +6,6 @@ that fail and, where no recording test was left out, stores all in `results/veri
 anchor in `results/verification.md`.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The records of the verification and the stored table that is made from them."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.verification.records import RESULTS, as_csv, document, from_csv

@@ -1,7 +1,5 @@
 """The reference on refined meshes: its error estimate holds against a level that the estimate has not seen."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

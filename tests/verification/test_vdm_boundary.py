@@ -1,7 +1,5 @@
 """Boundary elements against exact answers: potentials, the incompressible ball, mixed finite elements."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """`bem-sparse`: its coarse surface, interpolation and operator, and what it is right about."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """What is known of each formulation: reciprocity, invariance, the ball's transfer function, mesh convergence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What additions do, in a process where the package is a copy that has them all: see `test_additions`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Studies of a ball under a finger, their plans, and what a worker does with these: for the tests of least work."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import shutil

@@ -3,8 +3,6 @@
 All are made in one copy, and `additions` looks at what they do in one process of their own.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Answers on disk: read back as they were."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

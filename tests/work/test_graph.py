@@ -1,7 +1,5 @@
 """A study as a graph: what has one key is done once, what is there is not done, and no number hangs on sharing."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Content keys: what a result depends on changes its key, and nothing else does."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The pool: what becomes of one task touches only what needs it."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """Where a result comes from: the commit of the program's source tree."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

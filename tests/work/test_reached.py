@@ -1,7 +1,5 @@
 """A reference that fails on the way to a load: what it reached is compared, and is never taken for the load."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a plan says will be refused, before anything is meshed or solved."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

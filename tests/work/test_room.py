@@ -1,7 +1,5 @@
 """What has no room in memory is doubted, or refused before it runs."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path

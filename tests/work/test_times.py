@@ -1,7 +1,5 @@
 """Times that decide: measured anew in each run, all models in turns."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
