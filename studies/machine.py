@@ -149,19 +149,21 @@ def lock(path: Path, *, shared: bool = False, wait: bool = False) -> Iterator[No
     LockedError
         another process holds it, and nobody is to be waited for.
     OSError
-        the file cannot be opened for writing.
+        the file cannot be opened or written; it names `path`.
     """
-    with path.open("a+", errors="replace") as file:
+    with path.open("ab+", buffering=0) as file:
         try:
             kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
             fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
-            number = file.read(20).strip()
+            number = file.read(20).decode(errors="replace").strip()
             raise LockedError(f"process {number}" if number.isdecimal() else "an unknown process") from None
-        file.truncate(0)
-        file.write(str(os.getpid()))
-        file.flush()
+        try:
+            file.truncate(0)
+            file.write(b"%d" % os.getpid())
+        except OSError as error:  # a write names no file
+            raise OSError(error.errno, error.strerror, str(path)) from error
         yield
 
 

@@ -1,6 +1,7 @@
 """Memory against arrays of known size; processors; files that are whole, and locks."""
 
 import os
+import resource
 import stat
 import subprocess
 import sys
@@ -142,6 +143,16 @@ def test_a_lock_names_its_holder_and_goes_with_it(tmp_path: Path) -> None:
                 pass
     with lock(place, shared=True), lock(place, shared=True), pytest.raises(LockedError), lock(place):
         pass
+
+
+def test_a_lock_on_a_full_disk_names_its_file(tmp_path: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"File too large: '.*/lock'"), lock(tmp_path / "lock"):
+            pass
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 def test_the_cache_does_not_wait_for_the_disk_and_results_do(
