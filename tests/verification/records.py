@@ -6,13 +6,12 @@ that fail and, where no recording test was left out, stores all in `results/veri
 anchor in `results/verification.md`.
 """
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 RESULTS = Path(__file__).parents[2] / "results"
@@ -53,7 +52,7 @@ class Record:
     def passes(self) -> bool:
         return bool(abs(self.value - self.expected) <= self.tolerance)
 
-    def row(self) -> dict[str, str | bool]:
+    def row(self) -> dict[str, str]:
         """The record as it is stored: no digits that depend on the machine."""
         if self.expected == 0.0:
             rounding = self.tolerance <= ROUNDING and self.passes
@@ -68,8 +67,8 @@ class Record:
             "expected": f"{self.expected:.6g}",
             "tolerance": f"{self.tolerance:.2g}",
             "source": self.source,
-            "short": self.short,
-            "passes": self.passes,
+            "short": "yes" if self.short else "no",
+            "passes": "yes" if self.passes else "no",
         }
 
 
@@ -96,43 +95,27 @@ class Verified:
         self.equal(quantity, float(np.abs(error).max()), 0.0, atol=limit)
 
 
-MARKS = ("passes", "short")
-COLUMNS = ("name", "quantity", "value", "expected", "tolerance", "passes", "short", "source")
+COLUMNS = ["name", "quantity", "value", "expected", "tolerance", "passes", "short", "source"]
 
 
-def as_csv(rows: Sequence[dict[str, str | bool]]) -> str:
-    """Stored rows as `results/verification.csv`, in the order of their anchors' first appearance."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    for own in _anchors(rows).values():
-        writer.writerows(
-            {key: {True: "yes", False: "no"}.get(row[key], row[key]) for key in COLUMNS} for row in own
-        )
-    return out.getvalue()
+def table_of(records: Sequence[Record]) -> pd.DataFrame:
+    """A row for each record as it is stored, the anchors in the order of their first appearance."""
+    found = pd.DataFrame([record.row() for record in records], columns=COLUMNS)
+    return pd.concat([own for _, own in found.groupby("name", sort=False)])
 
 
-def from_csv(text: str) -> list[dict[str, str | bool]]:
-    """The rows of `as_csv` again."""
-    rows = csv.DictReader(io.StringIO(text))
-    return [{key: value == "yes" if key in MARKS else value for key, value in row.items()} for row in rows]
-
-
-def document(rows: Sequence[dict[str, str | bool]]) -> str:
+def document(found: pd.DataFrame) -> str:
     """The whole of `results/verification.md`: a line for each anchor."""
-    passed = sum(bool(row["passes"]) for row in rows)
     lines = ["| anchor | checks | held against |", "| --- | --- | --- |"]
-    for name, own in _anchors(rows).items():
-        right = sum(bool(row["passes"]) for row in own)
-        sources = "; ".join(dict.fromkeys(str(row["source"]) for row in own))
+    for name, own in found.groupby("name", sort=False):
+        right = (own["passes"] == "yes").sum()
         count = str(right) if right == len(own) else f"**{right} of {len(own)} pass**"
-        lines.append(f"| {name} | {count} | {sources} |")
-    return f"{_NOTE}{passed} of {len(rows)} checks pass.\n\n" + "\n".join(lines) + "\n"
-
-
-def _anchors(rows: Sequence[dict[str, str | bool]]) -> dict[str, list[dict[str, str | bool]]]:
-    names = dict.fromkeys(str(row["name"]) for row in rows)
-    return {name: [row for row in rows if row["name"] == name] for name in names}
+        lines.append(f"| {name} | {count} | {'; '.join(own['source'].unique())} |")
+    return (
+        f"{_NOTE}{(found['passes'] == 'yes').sum()} of {len(found)} checks pass.\n\n"
+        + "\n".join(lines)
+        + "\n"
+    )
 
 
 # ---------------------------------------------------------------- pytest's side
@@ -162,9 +145,9 @@ class Plugin:
         if self.left_out or config.args != config.getini("testpaths"):
             write("results/verification.md is left as it was: some of its tests were left out")
             return
-        rows = [record.row() for record in self.records]
-        (RESULTS / "verification.md").write_text(document(rows), encoding="utf-8")
-        (RESULTS / "verification.csv").write_text(as_csv(rows), encoding="utf-8")
+        found = table_of(self.records)
+        (RESULTS / "verification.md").write_text(document(found), encoding="utf-8")
+        found.to_csv(RESULTS / "verification.csv", index=False)
         write("stored in results/verification.md and results/verification.csv")
 
 
