@@ -9,9 +9,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from solver_common.arrays import Array
 from tests.command import SMALL_STUDY, do, vdmbench
-from tests.report.runs import make_case, make_run
+from tests.report.runs import make_case, make_run, of_metric, of_model
 from vdmbench import gate
 from vdmbench.cli.arguments import parse
 from vdmbench.gate import BaselineError, Finding, accept, compare, counts, read_baseline
@@ -35,16 +34,6 @@ def of_study(case: CaseResult, study: Study) -> CaseResult:
 def case_of(errors: Mapping[str, float], **changes: object) -> CaseResult:
     given = {"label": "nu = 0.49", "reference_error": {f"gci:{VECTOR}": 0.01}, "subdivisions": 0}
     return of_study(make_case(errors, **(given | changes)), STUDY)  # type: ignore[arg-type]
-
-
-def of_model(case: CaseResult, model: str, **fields: object) -> CaseResult:
-    changed = dataclasses.replace(case.models[model], **fields)  # type: ignore[arg-type]
-    return dataclasses.replace(case, models={**case.models, model: changed})
-
-
-def of_metric(case: CaseResult, model: str, metric: str, value: float | Array) -> CaseResult:
-    series = np.broadcast_to(value, len(case.load_factors))
-    return dataclasses.replace(case, metrics={**case.metrics, model: {**case.metrics[model], metric: series}})
 
 
 CASE = case_of(ERRORS)

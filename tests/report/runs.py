@@ -42,6 +42,17 @@ def asked(case: CaseResult, **tables: Any) -> CaseResult:
     return replace(case, study=Study.model_validate(resolved(case.study) | tables))
 
 
+def of_model(case: CaseResult, model: str, **fields: Any) -> CaseResult:
+    """The case with these fields of a model's answer."""
+    return replace(case, models={**case.models, model: replace(case.models[model], **fields)})
+
+
+def of_metric(case: CaseResult, model: str, metric: str, value: Any) -> CaseResult:
+    """The case with this value of a metric at each step, or these values."""
+    series = np.broadcast_to(value, len(case.load_factors))
+    return replace(case, metrics={**case.metrics, model: {**case.metrics[model], metric: series}})
+
+
 def p2_mode(directions: np.ndarray) -> np.ndarray:
     """(N, 3) displacement of unit amplitude at the poles: pushed in there, out at the equator, sliding between.
 

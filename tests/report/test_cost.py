@@ -7,7 +7,7 @@ from html import unescape
 
 import pytest
 
-from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
+from tests.report.runs import REFERENCE, make_case, make_run, measured_anew, of_model
 from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.blocks import Figures, note
@@ -55,11 +55,10 @@ def test_frames_that_were_measured_in_turns_stand_for_all_times() -> None:
     cost = digest.figures["vdm-m"]
     assert cost.marks == ()
     assert (cost.frame, cost.everywhere) == (4e-4, 8e-4)
-    own = case.models["vdm-m"]
 
     def marks(frames: FrameTimes | None) -> tuple[str, ...]:
-        models = case.models | {"vdm-m": dataclasses.replace(own, frames=frames)}
-        return Digest(make_run([dataclasses.replace(case, models=models)])).figures["vdm-m"].marks
+        return Digest(make_run([of_model(case, "vdm-m", frames=frames)])).figures["vdm-m"].marks
 
-    assert marks(dataclasses.replace(own.frames, processor="Abacus 3")) == (ELSEWHERE,)
+    elsewhere = dataclasses.replace(case.models["vdm-m"].frames, processor="Abacus 3")
+    assert marks(elsewhere) == (ELSEWHERE,)
     assert marks(None) == (ELSEWHERE, ONCE)

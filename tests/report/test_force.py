@@ -1,13 +1,12 @@
 """Force against indentation, for contacts under a pressure and for regions that are moved."""
 
-import dataclasses
 import math
 import re
 
 import numpy as np
 from numpy.testing import assert_allclose
 
-from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run
+from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run, of_model
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.pushed import Answer
 from vdmbench.report.blocks import Figures
@@ -69,8 +68,7 @@ def test_force_of_a_movement_is_the_reaction_along_it() -> None:
 def test_force_of_an_indenter_over_its_depth() -> None:
     touch = {"kind": "indenter", "region": "base", "depth": 0.004, "shape": "sphere", "radius": 0.01}
     case = make_case({"m": 0.5}, contact=touch, steps=(0.5, 1.0))
-    touched = dataclasses.replace(case.models[REFERENCE], scalars={"indenter_force": np.array([0.2, 0.7])})
-    pushed = dataclasses.replace(case, models={**case.models, REFERENCE: touched})
+    pushed = of_model(case, REFERENCE, scalars={"indenter_force": np.array([0.2, 0.7])})
     section = force_against_indentation(Digest(make_run([pushed])))
     (figures,) = (block for block in section.blocks if isinstance(block, Figures))
     (words,) = re.findall(r'aria-label="([^"]*)"', "".join(str(figure.svg) for figure in figures.figures))

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.report.runs import asked, make_case, make_run
+from tests.report.runs import asked, make_case, make_run, of_model
 from vdmbench.body.surface_measures import enclosed_volume
 from vdmbench.measures.case import CaseResult
 from vdmbench.report.section_scene import parts_of, scene, scene_words
@@ -32,8 +32,7 @@ def test_a_cut_body_is_drawn_with_the_rotation_and_strain_of_each_part() -> None
     of_node = np.where(case.points[:, 2] > 0, 2, 1)
 
     def pictures(part_of_node: np.ndarray | None) -> list[str]:
-        model = dataclasses.replace(case.models["m"], scalars=at_steps, part_of_node=part_of_node)
-        drawn = scene(Digest(make_run([dataclasses.replace(case, models={**case.models, "m": model})])))
+        drawn = scene(Digest(make_run([of_model(case, "m", scalars=at_steps, part_of_node=part_of_node)])))
         return list(drawn.cut)
 
     (picture,) = pictures(of_node)
@@ -42,8 +41,7 @@ def test_a_cut_body_is_drawn_with_the_rotation_and_strain_of_each_part() -> None
     assert pictures(None) == pictures(of_node + 1) == []
     for bar, words in ((0.029, "change the answer by 2.9 %"), (np.nan, "would change is not known")):
         error = {"parts_error": np.full(len(case.load_factors), bar)}
-        models = {**case.models, "m": dataclasses.replace(case.models["m"], scalars=at_steps | error)}
-        assert words in dict(scene_words(dataclasses.replace(case, models=models), [case]))["Parts"]
+        assert words in dict(scene_words(of_model(case, "m", scalars=at_steps | error), [case]))["Parts"]
 
 
 def test_words_have_the_ranges_of_all_cases_at_full_load() -> None:

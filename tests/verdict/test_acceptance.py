@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.report.runs import REFERENCE, make_case, make_run, measured_anew
+from tests.report.runs import REFERENCE, make_case, make_run, measured_anew, of_metric, of_model
 from tests.study.study_texts import SMALL
 from vdmbench.machine import processor_name
 from vdmbench.measures.case import CaseResult
@@ -99,13 +99,7 @@ def test_without_an_answer_every_limit_is_lost() -> None:
 def test_the_best_form_is_the_one_nearest_to_its_limits() -> None:
     """vdm-a is 8 / 8 % off, vdm-b 4 / 12 %: with 5 % in displacement b is nearer, with 10 % in both a."""
     case = make_case({"vdm-a": 0.08, "vdm-b": 0.04}, subdivisions=0)
-    name = "relative_l2_deformation_error"
-    own = case.metrics["vdm-b"]
-    metrics = {
-        **case.metrics,
-        "vdm-b": own | {name: np.full(4, 0.12)},
-    }
-    case = dataclasses.replace(case, metrics=metrics)
+    case = of_metric(case, "vdm-b", "relative_l2_deformation_error", 0.12)
 
     def focus(**table: float) -> str | None:
         return Digest(make_run([case], acceptance=table)).focus
@@ -133,9 +127,7 @@ def test_a_time_decides_where_its_spread_and_its_run_allow(
     times: tuple[float, ...] | None, processor: str, state: int
 ) -> None:
     case = make_case({"vdm-m": 0.01}, subdivisions=0)
-    own = case.models["vdm-m"]
     rounds = np.array(times) if times is not None else np.zeros(0)
     frames = FrameTimes(rounds, rounds, rounds, processor or processor_name())
-    timed = dataclasses.replace(own, frames=frames if times is not None else None)
-    case = dataclasses.replace(case, models={**case.models, "vdm-m": timed})
+    case = of_model(case, "vdm-m", frames=frames if times is not None else None)
     assert states(case, frame_time=1e-3)["frame_time"] == state

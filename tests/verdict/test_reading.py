@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from solver_common.solution import CONVERGED
-from tests.report.runs import make_case
+from tests.report.runs import make_case, of_model
 from vdmbench.body.surface_measures import Surface
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.metrics import History, evaluate
@@ -35,8 +35,7 @@ def case(
         subdivisions=0,
     )
     scalars = {"relative_residual": np.array(residuals), "condition_estimate": np.full(len(steps), 1e5)}
-    direct = dataclasses.replace(made.models[DIRECT], scalars=scalars)
-    return dataclasses.replace(made, models={**made.models, DIRECT: direct})
+    return of_model(made, DIRECT, scalars=scalars)
 
 
 def test_the_first_step_that_failed_says_why() -> None:
@@ -71,8 +70,7 @@ def test_what_is_left_without_load_counts(scale: float) -> None:
     result = there_and_back.models[NONLINEAR]
     u = result.displacement.copy()
     u[-1] = scale * u[1]
-    models = {NONLINEAR: dataclasses.replace(result, displacement=u)}
-    read = reading(dataclasses.replace(there_and_back, models=models), NONLINEAR)
+    read = reading(of_model(there_and_back, NONLINEAR, displacement=u), NONLINEAR)
     assert (read.code == WRONG) == (scale > 1e-3)
 
 

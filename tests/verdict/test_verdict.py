@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from solver_common.solution import Status
-from tests.report.runs import REFERENCE, asked, make_case, make_run, measured_anew, sweep_run
+from tests.report.runs import (
+    REFERENCE,
+    asked,
+    make_case,
+    make_run,
+    measured_anew,
+    of_metric,
+    of_model,
+    sweep_run,
+)
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.study.config import resolved
 from vdmbench.study.registry import family_of
@@ -160,8 +169,7 @@ def test_elements_are_not_advised_below_what_is_closer(bem: float, fem: float, t
 def with_status(case: CaseResult, model: str, message: str) -> CaseResult:
     """The case with a message at every step of a model."""
     status = tuple(Status("converged", message, "take boundary elements") for _ in case.load_factors)
-    doubtful = dataclasses.replace(case.models[model], status=status)
-    return dataclasses.replace(case, models={**case.models, model: doubtful})
+    return of_model(case, model, status=status)
 
 
 @pytest.mark.parametrize("model", [MODEL, "fem-linear"])
@@ -185,8 +193,7 @@ def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
     name = "relative_l2_displacement_error"
     # 3.75 %, 7.5 %, 11.25 % and 15 %; half of 0.5 N
     growing = case.load_factors * 0.15
-    metrics = {**case.metrics, MODEL: {**case.metrics[MODEL], name: growing}}
-    reached = verdict(make_run([dataclasses.replace(case, metrics=metrics)])).up_to
+    reached = verdict(make_run([of_metric(case, MODEL, name, growing)])).up_to
     assert (reached.load, reached.unit, reached.all) == (pytest.approx(0.25), "N", False)
     assert reached.depth == pytest.approx(1e-3, rel=0.05)
     whole, none = (verdict(make_run([make_case({MODEL: e})])).up_to for e in (0.05, 0.2))
