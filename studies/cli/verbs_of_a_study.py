@@ -100,7 +100,7 @@ def _files(text: str, directory: Path) -> dict[str, Path]:
     CASE,
 )
 def show_scene(options: argparse.Namespace) -> int:
-    """Mesh the surface, put the scene on it, draw it."""
+    """Mesh the body, put the scene on it, draw it."""
     from ..machine import write_atomically
     from ..report.scene_picture import Stage, scene_png
     from ..report.section_scene import outlines_of, parts_of, scene_words
@@ -177,10 +177,10 @@ def print_schema(_: argparse.Namespace) -> int:
 
 @verb("check", "validate a study without running it", study_argument(), *STUDY_READS, CHANGES)
 def check_study(options: argparse.Namespace) -> int:
-    """Validate a study without running it: its keys, and its scene on the surface of its mesh.
+    """Validate a study without running it: its keys, and its scene on its mesh.
 
-    A surface that is not in the cache is meshed and kept there, which takes a second or two, unless it has more
-    than 20,000 nodes. What cannot run ends with exit code 2; what is a matter of judgement is a warning.
+    A body that is not in the cache is meshed and kept there for the run, which takes a second or two, unless its
+    surface has more than 20,000 nodes. What cannot run ends with exit code 2; a matter of judgement is a warning.
     """
     from ..study.errors import StudyError
     from ..work.explain import beyond_memory, refused

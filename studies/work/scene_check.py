@@ -1,4 +1,4 @@
-"""The scenes of a plan, put on the surfaces of their meshes before anything is solved."""
+"""The scenes of a plan, put on their meshes before anything is solved; the meshes are kept for the run."""
 
 from __future__ import annotations
 
@@ -6,18 +6,17 @@ import math
 from contextlib import suppress
 
 from ..body.mesh import Mesh
-from ..body.mesh_cache import mesh_path, read_mesh, write_mesh
+from ..body.mesh_cache import read_mesh, write_mesh
 from ..scene.measured_points import place_measured
 from ..scene.scene import Scene, build_scene
 from ..scene.warnings import scene_warnings
 from ..study.config import geometry_error
 from ..study.errors import Finding, InputError, Loc, MeshError, Problem
 from ..study.registry import FINITE_STRAIN, split
-from ..study.shapes import geometry_key
 from .plan import Plan, PlannedCase
 
 MOST_SCENES = 20  # of a study, in the order of its cases
-MOST_NODES = 20_000  # of a surface that is meshed for it
+MOST_NODES = 20_000  # of the surface of a body that is meshed for it
 
 
 def scene_problems(plan: Plan) -> list[Problem]:
@@ -35,7 +34,7 @@ def scene_problems(plan: Plan) -> list[Problem]:
     doubts: dict[Loc, str] = {}
     for case in list(scenes.values())[::-1][:MOST_SCENES]:
         if case.mesh not in meshes:
-            meshes[case.mesh] = _surface(plan, case)
+            meshes[case.mesh] = _mesh(plan, case)
         mesh = meshes[case.mesh]
         if mesh is not None:
             doubts = dict(_doubts(case, _scene(plan, case, mesh))) | doubts  # of several cases the first
@@ -52,31 +51,26 @@ def _other_scenes(case: PlannedCase) -> list[PlannedCase]:
 
 
 def scene_of(plan: Plan, case: PlannedCase) -> Scene:
-    """A case's scene on its surface, which is meshed however long that takes. Raises StudyError."""
-    mesh = _surface(plan, case, most=math.inf, keep=False)
+    """A case's scene on its mesh, which is made however long that takes. Raises StudyError."""
+    mesh = _mesh(plan, case, most=math.inf)
     assert mesh is not None
     return _scene(plan, case, mesh)
 
 
-def _surface(plan: Plan, case: PlannedCase, most: float = MOST_NODES, *, keep: bool = True) -> Mesh | None:
-    """The case's mesh, of one that is not there the surface alone; None where that would take long."""
+def _mesh(plan: Plan, case: PlannedCase, most: float = MOST_NODES) -> Mesh | None:
+    """The case's mesh; None where it is not there and would take long."""
     planned = plan.meshes[case.mesh]
-    cached = read_mesh(planned.path)
-    if cached is not None or planned.size.nodes > most:
-        return cached
-    try:
-        path = mesh_path(plan.cache, geometry_key(planned.geometry, volume=False))
-        surface = read_mesh(path)
-        if surface is None:
-            from ..body.geometry import build_mesh  # gmsh is slow to load
+    mesh = read_mesh(planned.path)
+    if mesh is None and planned.size.nodes <= most:
+        from ..body.geometry import build_mesh  # gmsh is slow to load
 
-            surface = build_mesh(planned.geometry, volume=False)
-            if keep:
-                with suppress(OSError):  # a study can be checked where nothing can be written
-                    write_mesh(path, surface)
-    except MeshError as error:
-        raise geometry_error(plan.study, error) from error
-    return surface
+        try:
+            mesh = build_mesh(planned.geometry, volume=planned.volume)
+        except MeshError as error:
+            raise geometry_error(plan.study, error) from error
+        with suppress(OSError):  # a study can be checked where nothing can be written
+            write_mesh(planned.path, mesh)
+    return mesh
 
 
 def _doubts(case: PlannedCase, scene: Scene) -> list[Finding]:

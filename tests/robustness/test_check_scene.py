@@ -93,7 +93,9 @@ def test_a_scene_is_drawn_before_anything_is_solved(capsys: pytest.CaptureFixtur
     red, green, blue = (picture[..., k] for k in range(3))
     assert ((blue - red > 0.2) & (blue > green)).sum() > 500
     assert ((red - blue > 0.2) & (red > green)).sum() > 500
-    assert not Path("results").exists(), "nothing is solved, nothing is kept"
+    assert [path.name for path in Path("results/cache").iterdir()] == ["meshes"], "nothing is solved"
+    (mesh,) = make_plan(load_study(Path("small.toml")), parse(["plan", "small.toml"])).meshes.values()
+    assert mesh.path.exists(), "kept for the run"
     with pytest.raises(ValueError, match="--case 2: the study has 1 cases"):
         do(parse(["show", "small.toml", "--case", "2"]))
 
