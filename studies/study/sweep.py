@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ValidationError
 
@@ -19,7 +20,9 @@ from .schema import NEVER_AN_INPUT, NEVER_SWEPT, Known, Range, Study, Sweep
 from .units import shown, to_si, type_name
 
 Value = float | str
-T = TypeVar("T")
+Entry = tuple[
+    str, Loc, Loc, Any
+]  # of [sweep] or [inputs]: key, where that is in the file and in the study, value
 # label, swept values by key, the data of a study with them
 Case = tuple[str, dict[str, Value], dict[str, Any]]
 
@@ -40,7 +43,7 @@ class Axis:
     key: str
     loc: Loc
     place: Loc
-    values: tuple[Value, ...]
+    values: tuple[Value, ...] = ()
     unit: str = ""
     log: bool = False
 
@@ -86,33 +89,39 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
         return [], []
-    sampled = sweep.get("mode") == _HYPERCUBE
-    entries = {key: value for key, value in sweep.items() if key not in Sweep.model_fields}
-    found, findings = _entries(
-        "sweep", entries, data, Range, lambda *entry: (_written(*entry, sampled=sampled), entry[-1])
-    )
-    written = [axis for axis, _ in found.values()]
-    findings += _check_mode(sweep, written, complete=not findings)
-    if not written:
+    entries, findings = _entries("sweep", sweep, data, Range, NEVER_SWEPT)
+    findings += _check_mode(sweep, complete=bool(entries or findings))
+    if not entries:
         return [], findings
     first = dict(data)
-    for axis in written:
-        first = substituted(first, axis.place, axis.values[0])
+    for _, _, place, value in entries:
+        if value and isinstance(value, list | dict):
+            first = substituted(first, place, value[0] if isinstance(value, list) else value.get("start"))
+    axes: list[Axis] = []
+    sampled, study, faults = sweep.get("mode") == _HYPERCUBE, None, []
     try:
         study = Study.model_validate(first)
     except ValidationError as error:
-        findings += [(told_at(written, data, one["loc"]), one["msg"]) for one in error.errors()]
-        return written, findings
-    axes: list[Axis] = []
-    for axis, value in found.values():
-        try:
-            axes.append(_in_si(axis, value, study, sampled=sampled))
-        except InputError as error:
-            findings.append(((*axis.loc, *error.place), str(error)))
+        faults = error.errors()
+    for key, loc, place, value in entries:
+        with _told(findings, loc):
+            axes.append(_axis(Axis(key, loc, place), value, study, sampled=sampled))
+    findings += [(told_at(axes, data, fault["loc"]), fault["msg"]) for fault in faults]
     if sweep.get("mode") == "zip" and len({len(axis.values) for axis in axes}) > 1 and not findings:
         lengths = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in axes)
         findings.append((("sweep",), f"zip needs axes of one length, but {lengths}"))
     return axes, findings
+
+
+@contextlib.contextmanager
+def _told(findings: list[Finding], loc: Loc) -> Iterator[None]:
+    """What is wrong with an entry is told there."""
+    try:
+        yield
+    except ValidationError as error:
+        findings += [((*loc, *fault["loc"]), fault["msg"]) for fault in error.errors()]
+    except InputError as error:
+        findings.append(((*loc, *error.place), str(error)))
 
 
 def told_at(axes: Sequence[Axis], data: Mapping[str, Any], loc: Loc) -> Loc:
@@ -125,38 +134,28 @@ def told_at(axes: Sequence[Axis], data: Mapping[str, Any], loc: Loc) -> Loc:
 
 
 def _entries(
-    name: str,
-    table: Mapping[str, Any],
-    data: Mapping[str, Any],
-    kind: type[Table],
-    read: Callable[[str, Loc, Loc, Any], T],
-) -> tuple[dict[str, T], list[Finding]]:
-    """What is read of each entry of [sweep] or [inputs], and what is wrong with the others.
-
-    `read` is given its key, where that is in the file and in the study, and the value.
-    """
-    never, more = (NEVER_SWEPT, Sweep.model_fields) if kind is Range else (NEVER_AN_INPUT, {})
+    name: str, table: Mapping[str, Any], data: Mapping[str, Any], kind: type[Table], never: Set[str]
+) -> tuple[list[Entry], list[Finding]]:
+    """The entries of [sweep] or [inputs], and what is wrong with the keys of others."""
+    own = Sweep.model_fields.keys() if kind is Range else ()
     tables = [one for one in Study.model_fields if one not in never]
-    found: dict[str, T] = {}
+    found: dict[str, Entry] = {}
     findings: list[Finding] = []
-    for key, loc, value in _flattened(table, kind, (name,)):
-        first, *rest = key.split(".")
-        try:
+    entries = {key: value for key, value in table.items() if key not in own}
+    for key, loc, value in _flattened(entries, kind, (name,)):
+        path = key.split(".")
+        with _told(findings, loc):
             if key in found:
                 raise InputError("is given twice")
-            if first == "geometry" and first in never:
+            if path[0] == "geometry" and path[0] in never:
                 told = "is another body with other nodes, which cannot be held against this one; sweep it"
                 raise InputError(told)
-            if first not in tables:
-                raise InputError(unknown(first, [*tables, *more], "key"))
-            found[key] = read(key, loc, located(data, [first, *rest], kind.model_fields), value)
-        except ValidationError as error:
-            findings += [((*loc, *fault["loc"]), fault["msg"]) for fault in error.errors()]
-        except InputError as error:
-            findings.append(((*loc, *error.place), str(error)))
+            if path[0] not in tables:
+                raise InputError(unknown(path[0], [*tables, *own], "key"))
+            found[key] = key, loc, located(data, path, kind.model_fields), value
         if len(findings) > MOST_TOLD:
             break  # the search for the key that was meant is slow
-    return found, findings
+    return list(found.values()), findings
 
 
 def _flattened(
@@ -194,28 +193,29 @@ def at(study: Table, loc: Loc) -> tuple[Any, str]:
     return value, unit
 
 
-def _written(key: str, loc: Loc, place: Loc, value: Any, *, sampled: bool) -> Axis:
-    """An axis with its first value, as it is written. Raises InputError, ValidationError."""
-    if isinstance(value, dict):
-        return Axis(key, loc, place, (Range.model_validate(value).start,))
-    if not isinstance(value, list):
+def _axis(axis: Axis, value: Any, study: Study | None, *, sampled: bool) -> Axis:
+    """An axis with its values; without a study, which has the first, with that alone, as it is written.
+
+    Raises
+    ------
+    InputError, ValidationError
+        what is written is no axis of such a value.
+    """
+    if not isinstance(value, list | dict):
         raise InputError(f"must be a list of values, or {{ start, stop, num }}, not {type_name(value)}")
-    if sampled:
+    if isinstance(value, list) and sampled:
         raise InputError("a latin-hypercube samples ranges: write { start, stop } instead of a list")
     if not value:
         raise InputError("has no values; list at least one")
-    return Axis(key, loc, place, (value[0],))
-
-
-def _in_si(axis: Axis, value: Any, study: Study, *, sampled: bool) -> Axis:
-    """An axis with all its values; the study has its first. Raises InputError."""
+    given = Range.model_validate(value) if isinstance(value, dict) else None
+    if study is None:
+        return replace(axis, values=(given.start if given else value[0],))
     found, unit = at(study, axis.place)
     if isinstance(found, tuple | Table):
         raise InputError(f"is no single value; vary one of its own, such as {axis.key}.0")
-    axis = replace(axis, unit=unit)
-    if isinstance(value, list):
-        return replace(axis, values=tuple(_value(unit, item, place) for place, item in enumerate(value)))
-    given = Range.model_validate(value)
+    if given is None:
+        values = tuple(_value(unit, item, place) for place, item in enumerate(value))
+        return replace(axis, unit=unit, values=values)
     if not unit:
         raise InputError("has no range: list its values")
     start, stop = (float(_value(unit, getattr(given, name), name)) for name in ("start", "stop"))
@@ -223,14 +223,12 @@ def _in_si(axis: Axis, value: Any, study: Study, *, sampled: bool) -> Axis:
         raise InputError("start and stop are the same value")
     if given.scale == "log" and min(start, stop) <= 0:
         raise InputError("a log scale needs a positive start and stop")
-    axis = replace(axis, values=(start, stop), log=given.scale == "log")
-    if sampled:
-        if given.num is not None:
-            raise InputError("a latin-hypercube has one number of samples for all axes: leave num out", "num")
-        return axis
-    if given.num is None:
-        raise InputError(f"is missing: {Range.model_fields['num'].description}", "num")
-    return replace(axis, values=tuple(axis.at(i / (given.num - 1)) for i in range(given.num)))
+    axis = replace(axis, unit=unit, values=(start, stop), log=given.scale == "log")
+    if sampled == (given.num is not None):
+        told = "a latin-hypercube has one number of samples for all axes: leave num out"
+        raise InputError(told if sampled else f"is missing: {Range.model_fields['num'].description}", "num")
+    count = given.num or 2
+    return replace(axis, values=tuple(axis.at(k / (count - 1)) for k in range(count)))
 
 
 def _value(unit: str, value: Any, *inside: str | int) -> Value:
@@ -245,12 +243,12 @@ def _value(unit: str, value: Any, *inside: str | int) -> Value:
     return value
 
 
-def _check_mode(sweep: Mapping[str, Any], axes: Sequence[Axis], *, complete: bool) -> Iterator[Finding]:
+def _check_mode(sweep: Mapping[str, Any], *, complete: bool) -> Iterator[Finding]:
     mode = sweep.get("mode", "grid")
     if mode == _HYPERCUBE:
         if "samples" not in sweep:
             yield ("sweep", "samples"), "is missing: the number of cases of a latin-hypercube"
-        if complete and not axes:
+        if not complete:
             yield ("sweep", "mode"), "there is no axis to sample; add one, as the path of a key and its range"
         return
     for key in ("samples", "seed"):
@@ -274,18 +272,15 @@ def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
         return f"{name} = {_shown(without_folders(value))} {unit}".rstrip()
 
     base: dict[str, Value] = {}
-    rows = _combinations(sweep, axes)
-    if axes and sweep.get("mode") == STAR:
+    if star := bool(axes) and sweep.get("mode") == STAR:
         own = {axis.key: value_at(rest, axis.place) for axis in axes}
         base = {key: value for key, value in own.items() if value is not None}
-        rows = _off_base(axes, base)
-        yield _BASE, base, rest
-    for changed in rows:
+    for changed in _off_base(axes, base) if star else _combinations(sweep, axes):
         case = rest
         for axis, value in changed:
             case = substituted(case, axis.place, value)
         label = ", ".join(told(axis, value) for axis, value in changed)
-        yield label, base | {axis.key: value for axis, value in changed}, case
+        yield label or _BASE * star, base | {axis.key: value for axis, value in changed}, case
 
 
 def _combinations(sweep: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[list[tuple[Axis, Value]]]:
@@ -304,15 +299,15 @@ def _combinations(sweep: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[li
 
 
 def _off_base(axes: Sequence[Axis], base: Mapping[str, Value]) -> Iterator[list[tuple[Axis, Value]]]:
-    """Each axis alone, with the values that are not the base's own."""
+    """Nothing, then each axis alone, with the values that are not the base's own."""
+    yield []
     for axis in axes:
         own = base.get(axis.key)
         for value in axis.values:
-            same = value == own
-            if not (isinstance(value, str) or isinstance(own, str) or own is None):
-                same = math.isclose(
-                    value, own, rel_tol=1e-14
-                )  # "1 mm" and 0.001 may differ in their last bit
+            if isinstance(value, str) or isinstance(own, str | None):
+                same = value == own
+            else:  # "1 mm" and 0.001 may differ in their last bit
+                same = math.isclose(value, own, rel_tol=1e-14)
             if not same:
                 yield [(axis, value)]
 
@@ -419,10 +414,14 @@ def read_inputs(study: Study) -> tuple[list[Input], list[Finding]]:
     if study.inputs is None:
         return [], []
     data = study.model_dump()
-    found, findings = _entries("inputs", data["inputs"], data, Known, lambda *entry: _input(study, *entry))
+    entries, findings = _entries("inputs", data["inputs"], data, Known, NEVER_AN_INPUT)
+    found: list[Input] = []
+    for key, loc, place, value in entries:
+        with _told(findings, loc):
+            found.append(_input(study, key, loc, place, value))
     if not found and not findings:
         findings.append((("inputs",), f"names no key; add one, such as tissue.youngs_modulus: {_FORMS}"))
-    return [found[key] for key in sorted(found)], findings
+    return sorted(found, key=lambda one: one.key), findings
 
 
 def _input(study: Study, key: str, loc: Loc, place: Loc, entry: Any) -> Input:
