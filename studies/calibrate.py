@@ -71,40 +71,31 @@ class Body:
     held_out: tuple[Sample, ...]
 
 
-def check(plan: Plan) -> None:
-    """Raise CalibrationError where nothing could be fitted, or tried, whatever a run gives."""
-    study = plan.study
-    if study.study.reference is None:
-        raise CalibrationError("a calibration needs study.reference, the model to fit to")
-    if not any(map(is_surface, study.study.models)):
-        raise CalibrationError(f"{study.study.name} has no surface model whose parameters could be fitted")
-    count_of_training(plan)
-
-
-def check_fit(plan: Plan) -> None:
-    """Raise CalibrationError where `check` does, or where the study leaves a surface model nothing to fit."""
-    check(plan)
-    study = plan.cases[0].study  # which has what is swept, as all cases have
-    for name in filter(is_surface, study.study.models):
-        to_fit(name, study.vdm.given(), study.model_parameters())
-
-
-def count_of_training(plan: Plan) -> int:
-    """How many of a study's loads train, the first ones; by default half of them.
+def check(plan: Plan, *, fit: bool = False) -> tuple[list[PlannedCase], list[PlannedCase]]:
+    """The loads of a study that train, the first ones, by default half of them, and those held out.
 
     Raises
     ------
     CalibrationError
-        nothing would be left on one side.
+        nothing could be tried, or with `fit` fitted, whatever a run gives.
     """
-    loads, asked = len(plan.in_order), plan.study.calibration
-    count = (loads + 1) // 2 if asked is None or asked.training is None else asked.training
-    if not 0 < count < loads:
+    study, loads = plan.study, plan.in_order
+    if study.study.reference is None:
+        raise CalibrationError("a calibration needs study.reference, the model to fit to")
+    names = list(filter(is_surface, study.study.models))
+    if not names:
+        raise CalibrationError(f"{study.study.name} has no surface model whose parameters could be fitted")
+    asked = study.calibration.training if study.calibration is not None else None
+    count = (len(loads) + 1) // 2 if asked is None else asked
+    if not 0 < count < len(loads):
         raise CalibrationError(
-            f"a calibration needs training loads and others held out: {count} of {loads} would train; "
+            f"a calibration needs training loads and others held out: {count} of {len(loads)} would train; "
             "sweep more loads, or set calibration.training"
         )
-    return count
+    first = plan.cases[0].study  # which has what is swept, as all cases have
+    for name in names if fit else ():
+        to_fit(name, first.vdm.given(), first.model_parameters())
+    return loads[:count], loads[count:]
 
 
 def body(plan: Plan, run: Run) -> Body:
@@ -117,16 +108,11 @@ def body(plan: Plan, run: Run) -> Body:
     CalibrationError
         see `check`; no finished load with a reference on one side.
     """
-    check(plan)
-    count = count_of_training(plan)
     finished = {
         case.hash: case for case in run.cases if case.reference is not None and case.reached == case.full_load
     }
     sides = []
-    for loads, name in (
-        (plan.in_order[:count], f"first {count} loads, which train,"),
-        (plan.in_order[count:], "loads held out"),
-    ):
+    for loads, name in zip(check(plan), ("loads that train", "loads held out"), strict=True):
         sides.append(tuple(_sample(plan, one, finished[one.hash]) for one in loads if one.hash in finished))
         if not sides[-1]:
             raise CalibrationError(f"none of the {name} is finished: put right what failed, or sweep others")
@@ -198,18 +184,13 @@ class Trial:
         self.samples = tuple(samples)
         first = samples[0].scene
         self.names = tuple(names or to_fit(name, first.parameters, first.overrides))
-        alike: dict[str, list[int]] = {}  # places of the loads on one body
-        for place, sample in enumerate(self.samples):
-            alike.setdefault(sample.bodies.get(name, ""), []).append(place)
-        self._bodies = list(alike.values())
         self.rules = [
             np.array([float(result.parameters[key]) for key in self.names]) for result in self._run(None)
         ]
 
     def answers(self, multiples: Array) -> list[Array]:
         """The model's (N, 3) displacement for each load [m]; loads on one body share a set-up."""
-        results = self._run([rule * multiples for rule in self.rules])
-        return [result.displacement[-1] for result in results]
+        return [result.displacement[-1] for result in self._run(multiples)]
 
     def errors(self, multiples: Array) -> Errors:
         """How far the model is off with these multiples of its rule."""
@@ -226,26 +207,26 @@ class Trial:
             max(sample.bars[DEFORMATION] for sample in self.samples),
         )
 
-    def _run(self, values: Sequence[Array] | None) -> list[ModelResult]:
-        """The result of each load with these parameters [SI], or with those of the rule."""
+    def _run(self, multiples: Array | None) -> list[ModelResult]:
+        """The result of each load with these multiples of its rule, or with the rule."""
         found: dict[int, ModelResult] = {}
-        for places in self._bodies:
-            # on one body the rule is one
-            given = {} if values is None else dict(zip(self.names, values[places[0]].tolist(), strict=True))
+        keys = [sample.bodies.get(self.name, "") for sample in self.samples]
+        for key in dict.fromkeys(keys):
+            places = [place for place, own in enumerate(keys) if own == key]
             scene = self.samples[places[0]].scene
-            own = {**scene.overrides.get(self.name, {}), **given}
+            own = dict(scene.overrides.get(self.name, {}))
+            if multiples is not None:  # on one body the rule is one
+                own |= zip(self.names, (self.rules[places[0]] * multiples).tolist(), strict=True)
             scene = dataclasses.replace(scene, overrides={**scene.overrides, self.name: own})
             set_up = models.Prepared(scene, self.name, len(places))
             for place in places:  # each a load path of its own
                 sample = self.samples[place]
-                result = set_up.answer(sample.scene.loads)
-                failed = next((status for status in result.status if not status.ok), None)
+                found[place] = set_up.answer(sample.scene.loads)
+                failed = next((status for status in found[place].status if not status.ok), None)
                 if failed is not None:
-                    raise CalibrationError(
-                        f"{self.name} in case {sample.label!r}: {failed.message}; {failed.remedy}"
-                    )
-                found[place] = result
-        return [found[place] for place in range(len(self.samples))]
+                    told = f"{failed.message}; {failed.remedy}"
+                    raise CalibrationError(f"{self.name} in case {sample.label!r}: {told}")
+        return [found[place] for place in range(len(keys))]
 
 
 # --- The fit ---
@@ -281,19 +262,13 @@ def calibrate(
     found = []
     for name in body.models:
         watch(f"fitting {name}")
-        one = fit(name, body.training, body.held_out)
-        there = {
-            other.name: Trial(one.model, other.held_out, tuple(one.multiples))
-            for other in others
-            if one.model in other.models
-        }
-        multiples = np.array(list(one.multiples.values()))
-        transfer = {name: trial.errors(multiples) for name, trial in there.items()}
-        found.append(dataclasses.replace(one, transfer=transfer))
+        found.append(fit(name, body.training, body.held_out, [one for one in others if name in one.models]))
     return found
 
 
-def fit(name: str, training: Sequence[Sample], held_out: Sequence[Sample]) -> Fit:
+def fit(
+    name: str, training: Sequence[Sample], held_out: Sequence[Sample], others: Sequence[Body] = ()
+) -> Fit:
     """Fit one model on training loads by the mean squared relative error of the displacement vector.
 
     Raises
@@ -311,6 +286,7 @@ def fit(name: str, training: Sequence[Sample], held_out: Sequence[Sample]) -> Fi
         training=trial.errors(multiples),
         held_out=unseen.errors(multiples),
         where=training[0].label,
+        transfer={one.name: Trial(name, one.held_out, trial.names).errors(multiples) for one in others},
     )
 
 
@@ -323,15 +299,12 @@ def least_error(trial: Trial) -> Array:
         an error that falls as long as the moduli grow or shrink.
     """
     areas = [sample.scene.surface.areas for sample in trial.samples]
-    norms = [weighted_norm(s.reference, of_node) for s, of_node in zip(trial.samples, areas, strict=True)]
+    sizes = [weighted_norm(s.reference, own) or 1.0 for s, own in zip(trial.samples, areas, strict=True)]
 
     def in_one(fields: Sequence[Array]) -> Array:
         """Displacements as one vector, whose squared distance from the references' is the error."""
-        parts = [
-            (np.sqrt(of_node)[:, None] * u / (norm or 1.0)).reshape(-1)
-            for u, of_node, norm in zip(fields, areas, norms, strict=True)
-        ]
-        return np.concatenate(parts) / math.sqrt(len(parts))
+        parts = [np.sqrt(own)[:, None] * u / size for u, own, size in zip(fields, areas, sizes, strict=True)]
+        return np.concatenate(parts).ravel() / math.sqrt(len(parts))
 
     target = in_one([sample.reference for sample in trial.samples])
     found = least_squares_of_moduli(lambda m: in_one(trial.answers(m)), target, len(trial.names))

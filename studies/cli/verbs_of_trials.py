@@ -123,11 +123,11 @@ def try_claims(options: argparse.Namespace) -> int:
 )
 def calibrate_study(options: argparse.Namespace) -> int:
     """Fit VDM parameters on half of a study's loads, try them on the rest."""
-    from ..calibrate import as_json, as_toml, body, calibrate, check, check_fit, table
+    from ..calibrate import as_json, as_toml, body, calibrate, check, table
     from ..machine import json_text, write_atomically
 
     plan = plan_of(options)
-    check_fit(plan)
+    check(plan, fit=True)
     plans = [plan]  # read, and found to be of use, before anything is run
     for name in options.transfer:
         there = argparse.Namespace(**vars(options) | {"study": name, "surface": None, "out": None})
