@@ -43,7 +43,7 @@ def imported_surface(geometry: FileBody, *, volume: bool) -> tuple[Clean, Array]
     )
     remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
     check_node_budget(surface.area, surface.volume if volume else 0.0, size, remedy)
-    _check_cavities(geometry, points, clean.cells)
+    _check_cavities(geometry, clean.points, clean.cells)
     return surface, centre
 
 
@@ -61,12 +61,12 @@ def imported_tetrahedra(geometry: FileBody) -> Mesh:
     points, centre, scale = _in_metres(clean.points, geometry)
     repairs = {"scale": scale, **clean.repairs}
     mesh = mesh_from_tetrahedra(points, clean.cells, groups=clean.groups, quality=repairs)
-    _check_cavities(geometry, mesh.surface_points, mesh.triangles)
+    _check_cavities(geometry, clean.points[mesh.surface_nodes], mesh.triangles)
     return replace(mesh, points=mesh.points + centre)  # where the file has it
 
 
 def _check_cavities(geometry: FileBody, points: Array, triangles: Index) -> None:
-    """Refuses cavities that the geometry does not tell, and told ones that are not there."""
+    """Refuses cavities that the geometry does not tell, and told ones that are not there; `points` as in the file."""
     shell = shells(points, triangles)
     if shell.any() and geometry.cavities is None:
         remedy = ', or say what fills those inside: cavities = "empty" or "fluid"'

@@ -62,7 +62,8 @@ def _check_models(study: Study) -> Iterator[Finding]:
         yield ("study", "models"), "name at least one model"
     for place, name in enumerate(info.models):
         if name not in known:
-            text = "; ".join([unknown(name, known, "model"), *BROKEN.values()])
+            names = known if ":" in name else [one for one in known if ":" not in one]
+            text = "; ".join([unknown(name, names, "model"), *BROKEN.values()])
             yield ("study", "models", place), text
         elif name in info.models[:place]:
             yield ("study", "models", place), f"{shown(name)} is listed twice"
