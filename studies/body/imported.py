@@ -66,7 +66,7 @@ def imported_tetrahedra(geometry: FileBody) -> Mesh:
 
 
 def _check_cavities(geometry: FileBody, points: Array, triangles: Index) -> None:
-    """Refuses cavities that the geometry does not tell, and told ones that are not there; `points` as in the file."""
+    """Refuses cavities that the geometry does not tell, and told ones that are not there; `points` of the file."""
     shell = shells(points, triangles)
     if shell.any() and geometry.cavities is None:
         remedy = ', or say what fills those inside: cavities = "empty" or "fluid"'

@@ -370,7 +370,7 @@ def name_curves(axes: Axes) -> None:
         axes.get_window_extent(),
         np.concatenate([_drawn(curve, between=True) for curve in axes.lines]),
     )
-    taken: list[Bbox] = []
+    taken: list[Bbox] = [text.get_window_extent() for text in axes.texts]  # the names of level lines
     for curve in curves:
         own = _drawn(curve, between=False)
         if not len(own):

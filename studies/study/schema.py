@@ -282,7 +282,9 @@ class Load(Table):
 class Gravity(Table):
     """[gravity]"""
 
-    acceleration: Annotated[Vector3, SI("m/s^2", 3)] = Key("acceleration along x, y, z")
+    acceleration: Annotated[Vector3, SI("m/s^2", 3)] = Key(
+        "acceleration along x, y, z; the weight is the same at every load factor"
+    )
     scanned: bool | None = Key(
         "whether the geometry was scanned under this weight: the rest shape is found from it, and "
         "displacements count from the scanned shape",

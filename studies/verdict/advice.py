@@ -262,7 +262,7 @@ RESTING, MOVING, CUTTING, EXACT = (
 class Advice:
     """What to take for one kind of interaction: the models that this study measured, the first before others.
 
-    `kind` tells the templates which sentence it is; `allowed` is the limit that none keeps.
+    `kind` tells the templates which sentence it is; `allowed` is the time of a frame that was asked for [s].
     """
 
     interaction: str
@@ -302,11 +302,11 @@ def _resting(digest: Digest) -> Advice:
 
 
 def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
-    limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.inf)
-    quick = [n for n in surface if limit == math.inf or digest.figures[n].frame <= limit]
+    limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.nan)
+    quick = [n for n in surface if math.isnan(limit) or digest.figures[n].frame <= limit]
     if not quick:
         return Advice(MOVING, "none quick enough", allowed=limit)
-    return Advice(MOVING, "closest surface", (digest.figures[_closest(digest, quick)],))
+    return Advice(MOVING, "closest surface", (digest.figures[_closest(digest, quick)],), allowed=limit)
 
 
 def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 
+import numpy as np
+
 from ..body.mesh import Mesh
 from ..body.mesh_cache import read_mesh, write_mesh
 from ..scene.measured_points import place_measured
@@ -87,6 +89,11 @@ def _doubts(case: PlannedCase, scene: Scene) -> list[Finding]:
     told = [(loc, _in_case(text, case)) for loc, text in found]
     if not any(load.acts for load in scene.loads):
         told.append((("constraints",), _in_case("nothing loads the body: every answer is zero", case)))
+    elif len(study.load.history) > 1 and not any(
+        np.any(getattr(part, key) or 0.0) for part in study.constraints for key in part.loads
+    ):
+        same = "every step is the same, as no factor acts on the weight"
+        told.append((("load",), _in_case(f"{same}; leave load out, or sweep gravity.acceleration", case)))
     return told
 
 

@@ -48,6 +48,11 @@ CASES: dict[str, tuple[list[tuple[str, str]], int, str]] = {
         0,
         "small.toml:22: constraints: nothing loads the body: every answer is zero",
     ),
+    "steps of a weight alone": (
+        [('"0.1 N"', '"0 N"'), ("[load]", "[gravity]\nacceleration = [0, 0, -9.81]\n[load]")],
+        0,
+        "small.toml:34: load: every step is the same, as no factor acts on the weight",
+    ),
     "a sound scene": ([], 0, ""),
     "a ball on both faces of a plate": (
         [
