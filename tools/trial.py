@@ -81,13 +81,15 @@ def row(body: str, load: str, case: CaseResult, form: str = FORM) -> list[str]:
     result = case.models[form]
     at = max(step for step in range(case.reached + 1) if result.status[step].ok)
     moved = np.linalg.norm(case.models[str(case.reference)].displacement[at], axis=1).max()
+    share = case.load_factors[at] / case.load_factors[-1]
+    acting = load if share == 1.0 else f"{load}, {share:.2g} of it"
     parts = result.scalars["parts"][at] if "parts" in result.scalars else 1.0
     status = result.status[case.reached]
     told = status.message if status.ok else f"{status.code}: {status.message}"
     errors = [float(values[at]) for m in MEASURES if (values := series(case, form, m)) is not None]
     own = [reference_bar(case.reference_error, m) for m in MEASURES]
     return [
-        body, load, str(len(case.points)), f"{1e3 * moved:.3g} mm", f"{parts:.0f}", slashed(errors), slashed(own),
+        body, acting, str(len(case.points)), f"{1e3 * moved:.3g} mm", f"{parts:.0f}", slashed(errors), slashed(own),
         told or "nothing",
     ]  # fmt: skip
 
@@ -100,12 +102,22 @@ def parts(arguments: Sequence[str]) -> Iterator[list[str]]:
                 name = f"{body}-{load}"
                 (case,) = _run(name, study_of(OWN, body, load, name=name))
                 yield row(body, load, case)
-    for surface in map(Path, arguments):
-        text: dict[str, Any] = OWN["liver"] | {"study": {"name": "liver", **OWN["study"]["study"]}}
-        text["geometry"] = {**text["geometry"], "path": f"liver{surface.suffix}"}
-        (BODIES / f"liver{surface.suffix}").write_bytes(surface.read_bytes())
-        yield from (row("liver, 4 kPa", "weight", case) for case in _run("liver", tomli_w.dumps(text)))
+    yield from soft(arguments)
     yield from lumps()
+
+
+def soft(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """The lines of soft bodies under their weight, of a surface that is named too."""
+    bodies = dict[str, dict[str, Any]](OWN["held"])
+    for surface in map(Path, arguments):
+        file = BODIES / f"liver{surface.suffix}"
+        file.write_bytes(surface.read_bytes())
+        for body, about in OWN["surface"].items():
+            bodies[body] = merged(about, {"geometry": {"path": file.name}})
+    for body, about in bodies.items():
+        name = body.replace(", ", "-").replace(" ", "-")
+        text = merged(merged(OWN["soft"], about), {"study": {"name": name, **OWN["study"]["study"]}})
+        yield from (row(body, "weight", case) for case in _run(name, tomli_w.dumps(text)))
 
 
 def lumps() -> Iterator[list[str]]:
