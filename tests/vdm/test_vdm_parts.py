@@ -22,7 +22,7 @@ from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFac
 from vdm.peers.bem_sparse import SparseFormulation
 from vdm.solution import SolverError, Status
 from vdm.solvers.linear import LinearSolver
-from vdm.solvers.nonlinear import NonlinearSolver
+from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver
 
 Array = np.ndarray
 E, LENGTH, SIDE = 3e4, 0.1, 0.01
@@ -203,6 +203,19 @@ def test_a_correction_has_the_slope_of_the_state(gravity: tuple[float, float, fl
     # where a part turns, what quadrature leaves of a uniform pressure turns with it
     left = (1e-6 if ratio == 0.5 else 1e-4) * np.abs(state.gap).max()
     assert_allclose((ahead.gap - behind.gap) / 2e-5, -state.gap, rtol=0.0, atol=left)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5])
+def test_a_bar_pressed_along_has_the_stiffness_that_its_load_of_buckling_leaves(share: float) -> None:
+    """Euler's: pi^2 E I / (4 L^2) of a bar that is held at one end."""
+    model = clamped(BAR, parts=4)
+    assert isinstance(model.solver, PartsSolver)
+    solver = model.solver.solver
+    load = at_tip(BAR[0], np.array([-share * np.pi**2 * E * SIDE**4 / 48.0 / LENGTH**2, 0.0, 0.0]))
+    step = solver.step(load)
+    assert isinstance(step, DeformedStep)
+    assert step.balance is not None
+    assert solver.body.stiffness_left(step.balance) == pytest.approx(1.0 - share, abs=0.05)
 
 
 def test_a_part_that_swells_as_one_costs_nothing() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from solver_common.substeps import LEAST_STEP
 from tests.command import vdmbench, write_study
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.refine import Hierarchy
@@ -117,13 +118,13 @@ def test_boundary_elements_and_their_reference_are_compared_where_either_ends(tm
     wanted = [Wanted(name, 0, "", (), ()) for name in names]
     found = [(want, Prepared(scene, want.name, 2).answer(scene.loads, ends=True)) for want in wanted]
     places, merged = at_what_was_reached(study, scene, found, lambda _: Hierarchy((mesh,)))
-    first, reference, boundary, last = places.tolist()
+    first, boundary, reference, last = places.tolist()
     assert (first, last) == (1.0, 2.0)
-    assert 1.0 < reference < boundary < 2.0
+    assert 1.0 < boundary < reference < 2.0
     assert [1.0 + result.scalars["load_factor"][1] for _, result in found] == [boundary, reference]
     answered = {want.name: [status.ok for status in result.status] for want, result in merged}
-    assert answered == {"bem:nonlinear": [True, True, True, False], "fem": [True, True, False, False]}
-    for place, end in ((1, reference), (2, boundary)):
+    assert answered == {"bem:nonlinear": [True, True, False, False], "fem": [True, True, True, False]}
+    for place, end in ((1, boundary), (2, reference)):
         (factor,) = scene.factors_at(np.array([end]))
         way = build_scene(load_study(_written(tmp_path, [0.1, float(factor)], weight=0.7)), mesh)
         for name, (_, result) in zip(names, merged, strict=True):
@@ -131,6 +132,19 @@ def test_boundary_elements_and_their_reference_are_compared_where_either_ends(tm
                 alone = run_model(way, name).displacement[1]
                 largest = np.abs(alone).max()
                 assert_allclose(result.displacement[place], alone, rtol=0, atol=1e-6 * largest, err_msg=name)
+
+
+def test_a_body_in_parts_ends_at_its_limit_point_by_whatever_steps(tmp_path: Path) -> None:
+    """Corrections find balances beyond it too, which are not stable."""
+    ends = []
+    for factors in ([0.1, 1.0], [0.1, 0.2, 0.3, 1.0]):
+        study = load_study(_written(tmp_path, factors, weight=0.7))
+        scene = build_scene(study, build_mesh(study.geometry))
+        found = Prepared(scene, "bem:nonlinear", len(factors)).answer(scene.loads, ends=True)
+        assert [status.ok for status in found.status] == [*(True for _ in factors[1:]), False]
+        assert "of its least stiffness without forces" in found.status[-1].message
+        ends.append(np.interp(found.scalars["load_factor"][-1], [0.0, 1.0], factors[-2:]))
+    assert ends[0] == pytest.approx(ends[1], abs=2.0 * LEAST_STEP)
 
 
 def test_a_case_that_no_model_answers_to_its_full_load_is_not_all_done(tmp_path: Path) -> None:

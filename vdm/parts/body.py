@@ -25,7 +25,7 @@ columns of a border E, with unknowns q of which the first is the pressure:
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -57,6 +57,8 @@ MOST_AREA = 0.99
 LARGEST_STRAIN = 0.1
 # (3, 9): v @ TURNED is (3, 3) with e_k x v in column k
 TURNED = np.cross(np.eye(3)[None], np.eye(3)[:, None]).transpose(0, 2, 1).reshape(3, 9)
+KRYLOV = 30  # products with a slope that its least eigenvalue is found by
+SMALL_CHANGE = 1e-5  # sizes of the body, by which the slope of a state is told
 BORDER = 7  # unknowns of a part beside displacements: its pressure and what its turning adds, six
 
 
@@ -366,7 +368,34 @@ class Parts:
         turn: Array,  # noqa: ARG002 - each part has a frame of its own
     ) -> tuple[Array, Array]:
         """As in `Large`."""
-        slope = self._slope_for(balance, lacking, gap)
+        change, pushed = self._answer(self._slope_for(balance, lacking, gap), balance, lacking, gap)
+        if lacking.any():
+            self._before = balance
+        return change, pushed
+
+    def stiffness_left(self, balance: Balance) -> float:
+        """As in `Large`.
+
+        The least eigenvalue of the state's slope over that of its parts without forces, where volumes are kept: 1
+        at rest, 0 at a limit point. By Arnoldi's method, of differences of balances.
+        """
+        slope = self._slope_at(balance, self._joined_at(balance.parts.turns), forceless=True)
+        self._slope = None  # its factor may be that of other rotations
+        away = SMALL_CHANGE * float(np.ptp(self.rest, axis=0).max())
+
+        def softened(direction: Array) -> Array:
+            step = away / float(np.abs(direction).max())
+            x = balance.x.copy()
+            x[self.free] += step * direction.reshape(-1, 3)
+            moved = self.balance(balance.load, x, balance.pressure)
+            lacking, gap = (moved.lacking - balance.lacking) / step, (moved.gap - balance.gap) / step
+            return -self._answer(slope, balance, lacking, gap)[0].reshape(-1)
+
+        start = np.random.default_rng(0).standard_normal(3 * int(self.free.sum()))
+        return least_eigenvalue(softened, start)
+
+    def _answer(self, slope: _Slope, balance: Balance, lacking: Array, gap: Array) -> tuple[Array, Array]:
+        """As `correction`, by a slope."""
         kept = self._rows_of_volumes
         target = np.zeros(len(slope.system))
         target[kept] = -gap * self.volumes
@@ -382,25 +411,25 @@ class Parts:
         push = np.asarray(np.linalg.solve(slope.system, target - first @ slope.border), np.float64)
         moved = self._moved(slope.inner, slope.joined, first[:, None], inside[:, None])[:, 0]
         change = (moved + slope.answers @ push).reshape(-1, 3)
-        closing, more = self._closing(balance, change, push[kept], gap)
-        if lacking.any():
-            self._before = balance
+        closing, more = self._closing(slope, balance, change, push[kept], gap)
         return (change + closing)[self.free], push[kept] + more
 
     def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:
         """As in `Large`."""
         moved = np.zeros_like(balance.x)
         moved[self.free] = change
-        closing, push = self._closing(balance, moved, pushed, balance.gap)
+        assert self._slope is not None
+        closing, push = self._closing(self._slope, balance, moved, pushed, balance.gap)
         return closing[self.free], push
 
-    def _closing(self, balance: Balance, change: Array, pushed: Array, gap: Array) -> tuple[Array, Array]:
+    def _closing(
+        self, slope: _Slope, balance: Balance, change: Array, pushed: Array, gap: Array
+    ) -> tuple[Array, Array]:
         """What more (n, 3) and which pressures close gaps by the gradients of the state's own volumes.
 
         A slope that is kept, and a mixture, close those of other states.
         """
-        slope, acting = self._slope, balance.parts
-        assert slope is not None
+        acting = balance.parts
         at_parts, missed = change[self._nodes], np.zeros(len(slope.system))
         flux = np.add.reduceat(np.einsum("nc,nc->n", acting.gradient, at_parts), self._first)
         kept = self._rows_of_volumes
@@ -448,7 +477,8 @@ class Parts:
             slope = self._slope = self._slope_at(balance, self._joined_at(turns))
         return slope
 
-    def _slope_at(self, balance: Balance, turns: Array) -> _Slope:
+    def _slope_at(self, balance: Balance, turns: Array, *, forceless: bool = False) -> _Slope:
+        """The slope of a state; `forceless` as if nothing acted in it nor on it, which is not negative."""
         n, m, k = self._n_shared, self.n_parts, BORDER
         acting: _Acting = balance.parts
         # of the border those of each part, and after them the pressures of further volumes
@@ -458,7 +488,7 @@ class Parts:
         away = self._foreseen(balance)
         pushed, inside = list[Array](), np.zeros((3 * len(self._inner), size))
         for e, ((part, i, _), q, at) in enumerate(zip(self._unknowns, turns, columns, strict=True)):
-            turning, own = self._turning(e, q, balance, away[self._spans[e]])
+            turning, own = self._turning(e, q, balance, away[self._spans[e]], forceless)
             filled = np.einsum("nck,dc->ndk", acting.filled[self._spans[e]], q)
             pressed = (acting.gradient[self._spans[e]] @ q.T)[:, :, None]
             pushes = np.concatenate([pressed, turning, filled], axis=2)
@@ -497,7 +527,9 @@ class Parts:
             away[span] += moved - np.cross(turn, y)
         return np.asarray(away)
 
-    def _turning(self, number: int, q: Array, balance: Balance, away: Array) -> tuple[Array, Array]:
+    def _turning(
+        self, number: int, q: Array, balance: Balance, away: Array, forceless: bool
+    ) -> tuple[Array, Array]:
         """What turning a part adds to its slope, `U C U^T`: U (n, 3, 6) in its frame, and C^-1 (6, 6).
 
         See the head of this file; `away` (n, 3) is its displacement there. Its weight presses its closed surface,
@@ -514,8 +546,10 @@ class Parts:
         own = part.nodes[part.owns]
         pushed[part.owns] += acting.on_surface[own] @ q.T
         pushed += acting.filled[span] @ balance.pressure[self.n_parts :] @ q.T
-        slope = ((stressed[:, :, 0] - pushed) @ TURNED).reshape(-1, 3, 3) - stressed[:, :, 1:]
-        slope -= vectors[:, :, None] * ((q @ acting.rise[number]) @ turned)[:, None, :]
+        slope = -stressed[:, :, 1:]
+        if not forceless:
+            slope += ((stressed[:, :, 0] - pushed) @ TURNED).reshape(-1, 3, 3)
+            slope -= vectors[:, :, None] * ((q @ acting.rise[number]) @ turned)[:, None, :]
         met = turned.reshape(-1, 3).T @ slope.reshape(-1, 3)
         inverse = np.zeros((6, 6))
         inverse[:3, 3:] = inverse[3:, :3] = np.eye(3)
@@ -600,6 +634,22 @@ class Parts:
 def _angles(traces: Array) -> Array:
     """Of rotations by their traces [rad]."""
     return np.asarray(np.arccos(np.clip((traces - 1.0) / 2.0, -1.0, 1.0)))
+
+
+def least_eigenvalue(apply: Callable[[Array], Array], start: Array) -> float:
+    """The least real part of an eigenvalue of a map (n,) -> (n,), by Arnoldi's method."""
+    count = min(KRYLOV, len(start))
+    basis, projected = np.zeros((count + 1, len(start))), np.zeros((count + 1, count))
+    basis[0] = start / np.linalg.norm(start)
+    for k in range(count):
+        image = apply(basis[k])
+        for _ in range(2):  # once leaves rounding
+            shares = basis[: k + 1] @ image
+            image = image - shares @ basis[: k + 1]
+            projected[: k + 1, k] += shares
+        projected[k + 1, k] = np.linalg.norm(image)
+        basis[k + 1] = image / (projected[k + 1, k] or 1.0)
+    return float(np.linalg.eigvals(projected[:count]).real.min())
 
 
 def inverse_inertia(stretch: Array) -> Array:

@@ -44,6 +44,10 @@ NEAR = 0.02
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
 REMEDY = "use smaller load steps, a smaller load or a stiffer material; a body may snap through there"
+UNSTABLE = "a balance was found that is not stable"
+LEFT = (
+    "; the last balance has {:.2g} % of its least stiffness without forces, and none is left at a limit point"
+)
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,13 @@ class Large(Protocol):
         Of x (n_free, d) and of the pressures (m,).
         """
         return np.zeros_like(change), np.zeros_like(balance.gap)
+
+    def stiffness_left(self, balance: Balance) -> float:  # noqa: ARG002
+        """The least stiffness of a state over what it is without forces: 1 at rest, 0 at a limit point.
+
+        Negative where a state is not stable; NaN of a body that does not tell it.
+        """
+        return np.nan
 
     def energy(self, balance: Balance) -> float:
         """Elastic energy [J]."""
@@ -270,6 +281,9 @@ class NonlinearSolver:
                 mixes = True
                 continue
             mixes = not self.body.has_slope
+            # corrections find balances beyond a limit point too, which a body does not stay in
+            if found is not None and used > HISTORY and self.body.stiffness_left(found) < 0.0:
+                found, why = None, UNSTABLE
             if found is None:
                 if reached == 0.0:
                     x, pressure = last.x, last.pressure
@@ -283,6 +297,8 @@ class NonlinearSolver:
         status = CONVERGED
         if reached < 1.0:
             told = ENDED.format("the nonlinear balance was not found", reached, self._number, used, why)
+            if np.isfinite(left := self.body.stiffness_left(balance)):
+                told += LEFT.format(100.0 * left)
             status = Status("not-converged", told, REMEDY)
         else:
             self._path = [*self._path[1 - MOST_STATES :], _Converged(load, x, pressure)]
