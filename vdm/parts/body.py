@@ -58,7 +58,7 @@ LARGEST_STRAIN = 0.1
 # (3, 9): v @ TURNED is (3, 3) with e_k x v in column k
 TURNED = np.cross(np.eye(3)[None], np.eye(3)[:, None]).transpose(0, 2, 1).reshape(3, 9)
 KRYLOV = 30  # products with a slope that its least eigenvalue is found by
-SMALL_CHANGE = 1e-5  # sizes of the body, by which the slope of a state is told
+SMALL_CHANGE = 1e-6  # sizes of the body, by which the slope of a state is told
 BORDER = 7  # unknowns of a part beside displacements: its pressure and what its turning adds, six
 
 
@@ -377,7 +377,8 @@ class Parts:
         """As in `Large`.
 
         The least eigenvalue of the state's slope over that of its parts without forces, where volumes are kept: 1
-        at rest, 0 at a limit point. By Arnoldi's method, of differences of balances.
+        at rest, 0 at a limit point. By Arnoldi's method, of central differences: those to one side have half of
+        what the change stretches a slender part, which withstands that far more than being bent.
         """
         slope = self._slope_at(balance, self._joined_at(balance.parts.turns), forceless=True)
         self._slope = None  # its factor may be that of other rotations
@@ -385,14 +386,18 @@ class Parts:
 
         def softened(direction: Array) -> Array:
             step = away / float(np.abs(direction).max())
-            x = balance.x.copy()
-            x[self.free] += step * direction.reshape(-1, 3)
-            moved = self.balance(balance.load, x, balance.pressure)
-            lacking, gap = (moved.lacking - balance.lacking) / step, (moved.gap - balance.gap) / step
+            on, back = (self._beside(balance, to * step * direction) for to in (1.0, -1.0))
+            lacking, gap = (on.lacking - back.lacking) / (2.0 * step), (on.gap - back.gap) / (2.0 * step)
             return -self._answer(slope, balance, lacking, gap)[0].reshape(-1)
 
         start = np.random.default_rng(0).standard_normal(3 * int(self.free.sum()))
         return least_eigenvalue(softened, start)
+
+    def _beside(self, balance: Balance, change: Array) -> Balance:
+        """Of the state that is away by a change (3 n_free,)."""
+        x = balance.x.copy()
+        x[self.free] += change.reshape(-1, 3)
+        return self.balance(balance.load, x, balance.pressure)
 
     def _answer(self, slope: _Slope, balance: Balance, lacking: Array, gap: Array) -> tuple[Array, Array]:
         """As `correction`, by a slope."""

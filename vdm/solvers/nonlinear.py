@@ -44,9 +44,9 @@ NEAR = 0.02
 GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
 
 REMEDY = "use smaller load steps, a smaller load or a stiffer material; a body may snap through there"
-UNSTABLE = "a balance was found that is not stable"
+UNSTABLE = "the one that was found is not stable"
 LEFT = (
-    "; the last balance has {:.2g} % of its least stiffness without forces, and none is left at a limit point"
+    "; the last balance has {:.3g} % of its least stiffness without forces, and none is left at a limit point"
 )
 
 
