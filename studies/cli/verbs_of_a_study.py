@@ -179,8 +179,9 @@ def print_schema(_: argparse.Namespace) -> int:
 def check_study(options: argparse.Namespace) -> int:
     """Validate a study without running it: its keys, and its scene on its mesh.
 
-    A body that is not in the cache is meshed and kept there for the run, which takes a second or two, unless its
-    surface has more than 20,000 nodes. What cannot run ends with exit code 2; a matter of judgement is a warning.
+    A body that is not in the cache is meshed and kept there for the run, which takes the longer the finer it is,
+    unless its surface has more than 20,000 nodes. What cannot run ends with exit code 2; a matter of judgement is a
+    warning.
     """
     from ..study.errors import StudyError
     from ..work.explain import beyond_memory, refused

@@ -1,4 +1,7 @@
-"""Study file -> typed objects; every problem at once, each with its line."""
+"""Study file -> typed objects; every problem at once, each with its line.
+
+A sweep's later values are judged once the rest is sound.
+"""
 
 from __future__ import annotations
 

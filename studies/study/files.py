@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from .errors import InputError, Loc, entry_name, unknown, value_at
+from .units import shown, type_name
 
 SHIPPED = Path(__file__).parents[1] / "cases"
 
@@ -58,15 +59,23 @@ def changes_of(text: str) -> dict[str, Any]:
 
 
 def changed(changes: Mapping[str, Any], *before: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """The paths of keys that nested tables of changes give a value, and the values."""
+    """The paths of keys that nested tables of changes give a value or an empty table, and these.
+
+    Raises
+    ------
+    InputError
+        a key that is no text.
+    """
     for key, value in changes.items():
-        if isinstance(value, Mapping):
+        if not isinstance(key, str):
+            raise InputError(f"a change names its key by a text, not by {type_name(key)}")
+        if isinstance(value, Mapping) and value:
             yield from changed(value, *before, key)
         else:
             yield (*before, key), value
 
 
-def located(data: Any, path: Sequence[str], of_value: Iterable[str] = ()) -> Loc:
+def located(data: Any, path: Sequence[str], of_value: Collection[str] = ()) -> Loc:
     """Where a path of keys leads in the data of a study; what is not there yet is under the path's own words.
 
     An entry of an array of tables goes by its name or its region, a component of a vector by its index. Names that
@@ -88,7 +97,8 @@ def located(data: Any, path: Sequence[str], of_value: Iterable[str] = ()) -> Loc
         elif data is None or isinstance(data, Mapping):
             known = {key: key for key in data or ()}
         else:
-            raise InputError(unknown(path[0], list(of_value), "key"))
+            told = f"{'.'.join(map(str, loc))} is a value and has no key {shown(path[0])}"
+            raise InputError(unknown(path[0], list(of_value), "key") if of_value else told)
         ends = (end for end in range(len(path), 0, -1) if ".".join(path[:end]) in known)
         end = next(ends, 1)
         word = ".".join(path[:end])
@@ -111,10 +121,17 @@ def substituted(data: Any, loc: Loc, value: Any) -> Any:
 
 
 def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """The data of a study with nested tables of changes, key by key (`located`). Raises InputError."""
+    """The data of a study with nested tables of changes, key by key (`located`). Raises InputError.
+
+    An empty table makes one that is not there.
+    """
     new = dict(data)
     for path, value in changed(changes):
-        new = substituted(new, located(new, path), value)
+        loc = located(new, path)
+        if value is None and isinstance(loc[-1], int):
+            raise InputError(f"{'.'.join(path)} is one of a list, which is written anew to leave it out")
+        if not (isinstance(value, Mapping) and isinstance(value_at(new, loc), Mapping | list | tuple)):
+            new = substituted(new, loc, value)
     return new
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from .checks import validate
 from .errors import MOST_TOLD, Finding, InputError, Loc, Source, unknown, value_at
@@ -84,13 +85,18 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
     """The axes of a study's data, as parsed from TOML, and what is wrong with them.
 
     A study that has the first value of each tells which keys there are, and their units; where it has faults, the
-    axes have that value alone, as it is written.
+    axes have that value alone, as it is written. The first of a hypercube's range is no sample: it may be the last.
     """
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
         return [], []
     entries, findings = _entries("sweep", sweep, data, Range, NEVER_SWEPT)
     findings += _check_mode(sweep, complete=bool(entries or findings))
+    places = {place: key for key, _, place, _ in entries}
+    for entry in list(entries):
+        if part_of := [places[entry[2][:end]] for end in range(len(entry[2])) if entry[2][:end] in places]:
+            findings.append((entry[1], f"is part of {part_of[0]}, another axis; vary one of them"))
+            entries.remove(entry)
     if not entries:
         return [], findings
     first = dict(data)
@@ -98,11 +104,15 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
         if value and isinstance(value, list | dict):
             first = substituted(first, place, value[0] if isinstance(value, list) else value.get("start"))
     axes: list[Axis] = []
-    sampled, study, faults = sweep.get("mode") == _HYPERCUBE, None, []
-    try:
-        study = Study.model_validate(first)
-    except ValidationError as error:
-        faults = error.errors()
+    sampled = sweep.get("mode") == _HYPERCUBE
+    study, faults = _typed(first)
+    wrong = {fault["loc"] for fault in faults} if sampled else set()
+    if ranges := [
+        one for one in entries if one[2] in wrong and isinstance(one[3], dict) and "stop" in one[3]
+    ]:
+        for _, _, place, value in ranges:
+            first = substituted(first, place, value["stop"])
+        study, faults = _typed(first)
     for key, loc, place, value in entries:
         with _told(findings, loc):
             axes.append(_axis(Axis(key, loc, place), value, study, sampled=sampled))
@@ -111,6 +121,14 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
         lengths = ", ".join(f"{axis.key} has {len(axis.values)}" for axis in axes)
         findings.append((("sweep",), f"zip needs axes of one length, but {lengths}"))
     return axes, findings
+
+
+def _typed(data: Mapping[str, Any]) -> tuple[Study | None, list[ErrorDetails]]:
+    """The study of some data, or what is wrong with the types of its values."""
+    try:
+        return Study.model_validate(data), []
+    except ValidationError as error:
+        return None, error.errors()
 
 
 @contextlib.contextmanager
@@ -313,12 +331,16 @@ def _off_base(axes: Sequence[Axis], base: Mapping[str, Value]) -> Iterator[list[
 
 
 def first_case(data: dict[str, Any], axes: Sequence[Axis]) -> dict[str, Any]:
-    """`data` with the first value of those axes whose key the file leaves to the sweep; a star leaves it none."""
+    """`data` with the first value of those axes whose key the file leaves to the sweep; a star leaves it none.
+
+    Of the range of a hypercube that is its middle: its ends are no samples.
+    """
     if isinstance(data.get("sweep"), dict) and data["sweep"].get("mode") == STAR:
         return data
     for axis in axes:
         if value_at(data, axis.place) is None:
-            data = substituted(data, axis.place, axis.values[0])
+            middle = axis.unit and data["sweep"].get("mode") == _HYPERCUBE
+            data = substituted(data, axis.place, axis.at(0.5) if middle else axis.values[0])
     return data
 
 

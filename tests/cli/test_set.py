@@ -1,13 +1,14 @@
 """`--set KEY=VALUE`: a study with some of its values changed on the command line."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.command import vdmbench, write_study
 from vdmbench.store import cases as store
 from vdmbench.study.errors import InputError
-from vdmbench.study.files import changes_of
+from vdmbench.study.files import changes_of, merged
 
 
 @pytest.mark.parametrize(
@@ -28,6 +29,24 @@ def test_a_value_is_toml_or_a_text(text: str, found: object) -> None:
 def test_what_is_no_change_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="write KEY=VALUE"):
         changes_of(text)
+
+
+def test_an_empty_table_makes_what_is_not_there() -> None:
+    assert merged({"a": {"b": 1}}, {"a": {}, "c": {}}) == {"a": {"b": 1}, "c": {}}
+    assert merged({"a": 1}, {"a": {}}) == {"a": {}}, "told as a mistake"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"a": {"x": 1}}, 'a is a value and has no key "x"'),
+        ({"v": {"2": None}}, "v.2 is one of a list"),
+        ({"v": {2: 0.0}}, "names its key by a text, not by a whole number"),
+    ],
+)
+def test_a_change_that_leads_nowhere_is_refused(change: dict[str, Any], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        merged({"a": 1, "v": [0, 0, 1]}, change)
 
 
 def test_the_changed_study_runs_and_says_how_to_repeat_it(tmp_path: Path) -> None:

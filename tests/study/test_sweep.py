@@ -132,6 +132,14 @@ def test_a_latin_hypercube_depends_on_its_seed_and_not_on_the_order_of_the_axes(
     assert samples(LATIN) != samples(LATIN.replace("seed = 3", "seed = 4"))
 
 
+@pytest.mark.parametrize("ends", ["start = -1, stop = 0.4", "start = 0.4, stop = -1"])
+@pytest.mark.parametrize("own", ["", "poisson_ratio = 0.45\n"])
+def test_the_ends_of_a_latin_hypercube_are_no_samples(tmp_path: Path, ends: str, own: str) -> None:
+    """No material has a Poisson ratio of -1."""
+    sweep = f'mode = "latin-hypercube"\nsamples = 3\ntissue.poisson_ratio = {{ {ends} }}\n'
+    assert len(swept(tmp_path, sweep, SWEPT.replace("poisson_ratio = 0.45\n", own))) == 3
+
+
 @pytest.mark.parametrize(
     "sweep",
     [
