@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 import vdmbench
 from tests.command import own_signals
@@ -28,6 +29,12 @@ if Path(vdmbench.__file__).resolve().parent != ROOT / "studies":
 
 # what takes half a small run: frames are timed once, not for seconds, and pictures have hard outlines
 frames.MOST, picture.FINER = 0.0, 1
+
+# a busy machine fails no test that looks for what breaks
+settings.register_profile(
+    "unhurried", deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
+)
+settings.load_profile("unhurried")
 
 pytest_plugins = ["tests.verification.records"]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import tomli_w
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.study.study_texts import FULL
@@ -204,13 +204,10 @@ def mutated(draw: st.DrawFn) -> dict[str, Any]:
     return tree
 
 
-RELAXED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
-
-
 def never_breaks(path: Path, contents: st.SearchStrategy[bytes], count: int) -> None:
     """So many files with such contents are studies, or told to be none."""
 
-    @settings(RELAXED, max_examples=count)
+    @settings(max_examples=count)
     @given(contents)
     def read(content: bytes) -> None:
         path.write_bytes(content)
@@ -257,7 +254,7 @@ def test_a_damaged_text_never_breaks_the_reader(path: Path, count: int) -> None:
     never_breaks(path, damaged_texts().map(str.encode), count)
 
 
-@settings(RELAXED, max_examples=100)
+@settings(max_examples=100)
 @given(st.binary(max_size=60))
 def test_any_bytes_never_break_the_reader(path: Path, content: bytes) -> None:
     path.write_bytes(content)
