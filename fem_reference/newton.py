@@ -123,9 +123,7 @@ class _Residual:
     vector: Array
     linear: Array  # by the linear model of contact, whose points may pull
     relative: float
-    unsettled: (
-        float  # `relative` of the pressures of the iteration, or how far points are from where these press
-    )
+    unsettled: float  # the same by the iteration's pressures, or how far points are from where these press
     scale: float  # of the forces in it
     reaction: Array
     external: Array
@@ -288,7 +286,7 @@ class Newton:
             forcing = float(np.clip(wanted, _LEAST_FORCING, _MOST_FORCING))
         if (
             self.contact is not None
-        ):  # what is left beside the penalty's forces is as much less beside the body's
+        ):  # what is left beside the penalty's forces is so much less beside the body's
             forcing = max(forcing / PENALTY, _LEAST_FORCING)
         x, solved = self.solver.solve(tangent, -found.linear - tangent.action(step), forcing)
         n, kept = self.system.n_displacements, self.system.kept

@@ -74,6 +74,7 @@ def _summary(digest: Digest, found: Measurement, number: int, unit: str) -> Tabl
     def beside(other: str) -> Callable[[str], Cell | None]:
         def of(name: str) -> Cell | None:
             both = np.intersect1d(rows(name), rows(other))
+            both = both[np.isfinite(found.numerical[other][both])]
             if name == other or not len(both):
                 return None
             inside = int(found.as_good_as(name, other)[both].sum())

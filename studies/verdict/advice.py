@@ -77,18 +77,29 @@ class Shortfall:
 
     def mesh_part(self, step: int | None = None) -> float:
         """How much of what is broken the mesh takes: what the reference's own model has there, or what the model
-        itself says that its mesh leaves open, as a share of its error.
+        itself says that its mesh leaves open.
         """
-        own = self.mesh_error(step) * self.part(self.model, step)
-        return max(self.part(self.digest.coarse_reference, step), own)
+        own = (
+            self._at(self.model, c, step) / c.allowed * share for c, share in self.mesh_shares(step).items()
+        )
+        return max(self.part(self.digest.coarse_reference, step), *own, 0.0)
 
-    def mesh_error(self, step: int | None = None) -> float:
-        """Share of the model's error that its `mesh_error` or `shape_error` are; 0 of a model without them."""
+    def mesh_shares(self, step: int | None = None) -> dict[Criterion, float]:
+        """Broken limits that the model's `mesh_error`, of displacements, or `shape_error`, of either, explain.
+
+        With the share of the model's error that they are, 1 at most; none of a model without them.
+        """
         result, at = self.case.models[self.model], self.case.full_load if step is None else step
-        errors = list(self.errors(self.model, step).values())
-        over = {"mesh_error": errors[0], "shape_error": max(errors)}  # the latter is that of either
-        shares = [result.scalars[key][at] / over[key] for key in over if key in result.scalars]
-        return min(1.0, max(filter(math.isfinite, shares), default=0.0))
+        moved, largest = self.digest.criteria[0], max(self.errors(self.model, step).values())
+        found: dict[Criterion, float] = {}
+        for c in self.broken:
+            over = {"shape_error": largest} | (
+                {"mesh_error": self._at(self.model, c, step)} if c == moved else {}
+            )
+            shares = [result.scalars[key][at] / over[key] for key in over if key in result.scalars]
+            if known := [float(share) for share in shares if math.isfinite(share)]:
+                found[c] = min(1.0, max(known))
+        return found
 
     @cached_property
     def elements(self) -> str | None:
@@ -210,7 +221,7 @@ def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
     if coarse is not None and shortfall.part(coarse) >= HALF:
         yield Reason(MESH, shortfall.errors(coarse), {"elements": coarse})
     elif shortfall.mesh_part() >= HALF:
-        yield Reason(MESH, {"share": shortfall.mesh_error()})
+        yield Reason(MESH, {"share": max(shortfall.mesh_shares().values())})
 
 
 def the_reference(shortfall: Shortfall) -> Iterator[Reason]:

@@ -1,5 +1,6 @@
 """What was measured: read from a file, put on a mesh, and models held against it."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -7,13 +8,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.command import vdmbench
-from tests.report.runs import icosphere
+from tests.report.runs import example_measurement, icosphere, make_case, make_run
 from vdmbench.body.mesh import Mesh
 from vdmbench.measures.measurement import MOST, RMS, hold_against, step_rms
 from vdmbench.measures.pushed import Answer
+from vdmbench.report.blocks import Table
+from vdmbench.report.section_measurement import against_measurement
 from vdmbench.scene.measured_points import place_measured
 from vdmbench.scene.scene import SceneError
 from vdmbench.study.config import Study, load_study
+from vdmbench.verdict.digest import Digest
 
 STUDY = """\
 [study]
@@ -137,3 +141,16 @@ def test_a_measured_surface_is_as_far_as_it_is(tmp_path: Path) -> None:
         assert_allclose(found.simulated["m"], outward, rtol=1e-6, atol=1e-15)
         assert found.within("m").all() == (outward == 0.0)
         assert np.isnan(found.simulated["lost"]).all()
+
+
+def test_an_unknown_u_num_counts_neither_inside_nor_outside() -> None:
+    found = example_measurement()
+    answers = {**found.simulated, "fem:direct": np.array([-6.4e-3, 2e-3])}
+    found = dataclasses.replace(
+        found, simulated=answers, numerical={**found.numerical, "fem:direct": np.array([1e-4, np.nan])}
+    )
+    case = dataclasses.replace(make_case({"vdm-paper": 0.1}), measurement=found)
+    section = against_measurement(Digest(make_run([case])))
+    table = next(block for block in section.blocks if isinstance(block, Table))
+    (place,) = (k for k, one in enumerate(table.columns) if one.title == "Within u_num of fem:direct")
+    assert {row[0].text: row[place].text for row in table.rows if row[place].text}["vdm-paper"] == "1 of 1"

@@ -208,6 +208,17 @@ def test_the_mesh_is_told_by_what_the_model_says_that_it_leaves_open(
         assert found[MESH].numbers == {"share": 1.0}
 
 
+@pytest.mark.parametrize(("scalar", "kinds"), [("mesh_error", {MODEL}), ("shape_error", {MESH})])
+def test_what_the_mesh_leaves_of_displacements_explains_no_change_of_shape(
+    scalar: str, kinds: set[str]
+) -> None:
+    far = growing({"bem": (0.05, 0.05, 0.05)}, reference="fem-linear")
+    own = dataclasses.replace(far.models["bem"], scalars={scalar: np.full(3, 0.5)})
+    errors = {**far.metrics["bem"], DEFORMATION: np.full(3, 0.5)}
+    case = dataclasses.replace(far, models={**far.models, "bem": own}, metrics={**far.metrics, "bem": errors})
+    assert causes(make_run([case]), "bem").keys() == kinds
+
+
 def test_the_references_bar_is_told_where_it_decides() -> None:
     open_ = make_case({"vdm-vector": 0.095}, reference_error=OFF_BY | {"levels": 2.0}, subdivisions=0)
     assert causes(make_run([open_]))[REFERENCE].numbers == {
