@@ -34,7 +34,7 @@ from .acceptance import (
     up_to,
     word_of,
 )
-from .advice import Advice, Reason, by_interaction, reasons
+from .advice import NO_ANSWER, Advice, Reason, Shortfall, by_interaction, reasons
 from .digest import Digest, Figures, Outside, Unreached, failed_steps, median_known
 from .reading import reading
 
@@ -75,6 +75,7 @@ class Verdict:
     counts : how many cases are within, undecided, beyond, without an answer
     limits : one entry a limit
     why_not : causes, of what is not within
+    seen_in : the case whose figures show them; empty of a study of one case, and where cases have no answer
     up_to : the load up to which every judged case is within; None where the loads are not known
     states : hash of each case -> its word
     """
@@ -87,6 +88,7 @@ class Verdict:
     counts: dict[str, int] = field(default_factory=dict)
     limits: tuple[Limit, ...] = ()
     why_not: tuple[Reason, ...] = ()
+    seen_in: str = ""
     up_to: UpTo | None = None
     states: dict[str, str] = field(default_factory=dict)
 
@@ -233,6 +235,8 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
     model = digest.deciding(family)
     states = digest.standing(model)
     judged = {case.hash: WORD[state] for case, state in zip(digest.cases, states.tolist(), strict=True)}
+    causes, one_case = reasons(digest, model), Shortfall(digest, model).case
+    is_seen = len(digest.cases) > 1 and any(reason.cause != NO_ANSWER for reason in causes)
     return Verdict(
         family=family.value,
         word=word_of(states.tolist()),
@@ -241,7 +245,8 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
         figures=digest.figures[model],
         counts=counted(states),
         limits=tuple(_limit(digest, model, one) for one in digest.criteria),
-        why_not=reasons(digest, model),
+        why_not=causes,
+        seen_in=digest.case_name(one_case) if is_seen else "",
         up_to=up_to(digest.known_loads, digest.worst_states(model, of_load=True)),
         states={**unjudged, **judged},
     )
