@@ -6,7 +6,7 @@ import re
 import numpy as np
 from numpy.testing import assert_allclose
 
-from tests.report.runs import AMPLITUDE, REFERENCE, make_case, make_run, of_model
+from tests.report.runs import AMPLITUDE, REFERENCE, asked, make_case, make_run, of_model
 from vdmbench.measures.case import CaseResult
 from vdmbench.measures.pushed import Answer
 from vdmbench.report.blocks import Figures
@@ -14,6 +14,7 @@ from vdmbench.report.section_charts import force_against_indentation
 from vdmbench.verdict.acceptance import pushes
 from vdmbench.verdict.digest import Digest
 
+FINGER = {"kind": "contact", "region": "finger", "name": "finger"}
 RTOL, ATOL = 1e-9, 1e-12  # the runs are exact but for rounding
 
 
@@ -63,6 +64,8 @@ def test_force_of_a_movement_is_the_reaction_along_it() -> None:
     length, force = curve(make_case({"m": 0.5}, contact=tool, steps=(0.5, 1.0)), "m")
     assert_allclose(length, [0.0025, 0.005], rtol=RTOL, atol=ATOL)
     assert_allclose(force, [0.4, 0.8], rtol=RTOL, atol=ATOL)  # 1 N along z, projected on (0, 3, 4) / 5
+    both = asked(make_case({"m": 0.5}), constraints=[tool, {**FINGER, "force": 0.5}])
+    assert Digest(make_run([both])).known_loads.unit == "N", "the load is told of the only contact"
 
 
 def test_force_of_an_indenter_over_its_depth() -> None:

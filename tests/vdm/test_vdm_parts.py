@@ -280,6 +280,9 @@ def test_one_part_of_any_ratio_answers_a_small_load_as_the_linear_form(ratio: fl
     size = np.abs(linear.displacement[0]).max()
     assert_allclose(nonlinear.displacement[0], linear.displacement[0], rtol=0.0, atol=1e-6 * size)
     assert nonlinear.energy[0] == pytest.approx(linear.energy[0], rel=1e-5)
+    surface = SurfaceMesh(*ROD)
+    swollen = abs(np.vdot(surface.area_vectors, linear.displacement[0])) / (surface.area * size)
+    assert (swollen < 1e-9) == (ratio == 0.4999), "only of a fluid's ratio is the volume kept"
 
 
 def test_a_compressible_body_hangs_from_its_weight_as_the_linear_form_says() -> None:

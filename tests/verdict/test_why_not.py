@@ -94,6 +94,8 @@ def test_the_model_is_told_by_its_smallest_load() -> None:
     }
     late = growing({"vdm-vector:nonlinear": (0.02, 0.1, 0.2)})
     assert MODEL not in causes(make_run([late]), "vdm-vector:nonlinear")
+    twice = growing({"vdm-vector:nonlinear": (0.2, 0.2, 0.2)}, steps=(0.5, 1.0, 2.0))
+    assert MODEL in causes(make_run([twice]), "vdm-vector:nonlinear"), "small beside the largest load"
 
 
 def test_a_model_without_an_answer_has_no_cause_of_an_error_and_is_not_looked_at_closely() -> None:
