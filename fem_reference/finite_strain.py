@@ -24,7 +24,6 @@ from fem_reference.finite_strain_outputs import OUTPUTS, Record
 from fem_reference.follower import FollowerPressure
 from fem_reference.indenter import Indenter, told_sunk
 from fem_reference.linear import Fields
-from fem_reference.load_path import LoadPath
 from fem_reference.loads import (
     Load,
     check_cavities,
@@ -38,7 +37,7 @@ from fem_reference.loads import (
 from fem_reference.materials import NeoHookean, make_law
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
-from fem_reference.newton import Newton, ScaledLoad, State, Substep
+from fem_reference.newton import LoadPath, Newton, ScaledLoad, State, Substep
 from fem_reference.solution import Solution, SolverError, check_outputs
 from fem_reference.springs import ElasticSupport, make_springs
 from fem_reference.system import LinearSystem, build_system

@@ -445,3 +445,32 @@ class Newton:
         data[held[inner.indices][:, None, :]] = 0.0
         shape = (self.system.mesh.n_pressures, self.system.n_displacements)
         return csr_array(bsr_array((data, inner.indices, inner.indptr), shape=shape))
+
+
+class LoadPath:
+    """One load after the other of one body: the states that were reached on the way, and where it ended.
+
+    The loads are to lie on one path, of rising size: then a load beyond the end of the way has no solution that is
+    near, and is not tried again. On a stable path an elastic body forgets its way: from whichever load below
+    Newton's method starts, it is the same equilibrium to the tolerance. Where a path branches it may be another.
+    """
+
+    def __init__(self) -> None:
+        self._reached: list[Substep] = []
+        self._end: Substep | None = None  # the smallest load at which an attempt failed for good
+
+    def follow(self, newton: Newton, load: ScaledLoad) -> Iterator[Substep]:
+        """As `Newton.follow`, to a load from the state known below it, which is yielded first."""
+        known = (state for state in self._reached if state.load.size <= load.size)
+        start = max(known, key=lambda state: state.load.size, default=newton.rest)
+        yield replace(start, load_factor=0.0, residuals=start.residuals[-1:])
+        if self._end is not None and self._end.load.size <= load.size:
+            yield replace(self._end, load_factor=1.0, residuals=self._end.residuals[-1:])
+            return
+        attempt = start
+        for attempt in newton.follow(start.state, start.load, load):
+            if attempt.converged:
+                self._reached.append(attempt)
+            yield attempt
+        if not attempt.converged and attempt.code != "too-small":
+            self._end = attempt

@@ -21,7 +21,6 @@ from xml.etree import ElementTree
 
 from .machine import json_text, write_atomically
 from .measures.case import CaseResult, Run
-from .measures.frame import at_full_load
 from .measures.metrics import METRICS, Sense, measurement_error
 from .measures.uncertainty import SIGNED
 from .store.plain import StoreError, typed
@@ -126,20 +125,17 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
     }
     digest = digest_of(run)
     names = [name for name in METRICS if sense_of(name) != "descriptive" and name != MEASURED]
-    gated = at_full_load(digest.table)
-    gated = gated[gated["metric"].isin(names)]
     last = {  # step of a case at which points were measured
         case.hash: max((one.step for one in case.measurement.quantities if one.component in AXES), default=-1)
         for case in run.cases
         if case.measurement is not None
     }
-    measured = digest.table[digest.table["metric"] == MEASURED]
-    measured = measured[measured["step"] == measured["case"].map(last)]
-    for rows in (gated, measured):
-        for case, model, metric, value in zip(
-            *(rows[c] for c in ("case", "model", "metric", "value")), strict=True
-        ):
-            values[case][model][metric] = _rounded(value)
+    table = digest.table
+    gated = table["full_load"] & table["metric"].isin(names)
+    measured = (table["metric"] == MEASURED) & (table["step"] == table["case"].map(last))
+    rows = table.loc[gated | measured, ["case", "model", "metric", "value"]]
+    for case, model, metric, value in rows.itertuples(index=False):
+        values[case][model][metric] = _rounded(value)
     asked = {case.hash: asked_of(case) for case in run.cases}
     common = next(iter(asked.values()), {})
     for case in run.cases:

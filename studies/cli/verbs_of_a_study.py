@@ -120,7 +120,7 @@ def show_scene(options: argparse.Namespace) -> int:
 def _unsolved(plan: Plan, case: PlannedCase) -> CaseResult:
     """A case with its scene and no answer. Raises StudyError where the scene cannot be put on its mesh."""
     from ..measures.case import CaseResult
-    from ..work.scene_check import scene_of
+    from ..work.explain import scene_of
 
     scene = scene_of(plan, case)
     return CaseResult(
@@ -184,8 +184,7 @@ def check_study(options: argparse.Namespace) -> int:
     warning.
     """
     from ..study.errors import StudyError
-    from ..work.explain import beyond_memory, refused
-    from ..work.scene_check import scene_problems
+    from ..work.explain import beyond_memory, refused, scene_problems
     from ..work.tasks import tasks_of
 
     try:

@@ -51,7 +51,6 @@ SIGNED = (INDENTATION_FORCE, "volume_drift", "volume_drift_of_displaced", *STRAI
 CONVERGING, TWO_LEVELS, UNSTEADY = "converging", "two levels", "unsteady"
 TOO_FAST, TOO_SLOW = "too fast", "too slow"
 OSCILLATING, DIVERGING = "oscillating", "diverging"
-BEHAVIOURS = (CONVERGING, TWO_LEVELS, UNSTEADY, TOO_FAST, TOO_SLOW, OSCILLATING, DIVERGING)
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class ErrorEstimate:
     error: float
     gci: float
     observed_order: float  # NaN where there are two levels only
-    behaviour: str  # one of BEHAVIOURS
+    behaviour: str  # one of the words above
 
     @property
     def reasonable(self) -> bool:

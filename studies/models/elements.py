@@ -23,9 +23,9 @@ from .scanned import from_scan, rest_shape
 if TYPE_CHECKING:
     from fem_reference.finite_strain import FiniteStrainProblem
     from fem_reference.linear import LinearProblem
-    from fem_reference.load_path import LoadPath
     from fem_reference.loads import Load as FemLoad
     from fem_reference.mesh import TetMesh
+    from fem_reference.newton import LoadPath
     from fem_reference.springs import ElasticSupport
     from solver_common.solution import Solution
 
@@ -122,7 +122,7 @@ def _scanned(scene: Scene, n_loads: int, path: LoadPath | None) -> SetUp:
 
 
 def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
-    from fem_reference.load_path import LoadPath
+    from fem_reference.newton import LoadPath
 
     return _finite_strain(scene, solver, name, n_loads, LoadPath())
 

@@ -176,9 +176,9 @@ def _element_columns(problem: LinearProblem | CondensedProblem, scene: Scene, no
 # --- calls too short for one reading of the clock ---
 
 
-def median_seconds(call: Callable[[], object], clock: Callable[[], float] = timeit.default_timer) -> float:
+def median_seconds(call: Callable[[], object]) -> float:
     """Of a call: the median of `SAMPLES` samples, each the mean of as many calls as take `SAMPLE` or longer."""
-    timer = timeit.Timer(call, timer=clock)
+    timer = timeit.Timer(call)
     number = calls_of_a_sample(min(timer.repeat(SAMPLES, 1)))
     return float(np.median(timer.repeat(SAMPLES, number))) / number
 

@@ -285,4 +285,3 @@ class Indenter(Constraint):
 
 KINDS: dict[str, type[Constraint]] = Constraint.kinds
 load_all("vdmbench.study", "load_")  # last: they use what is above
-LOAD_KEYS = {name for kind in KINDS.values() for name in kind.loads}

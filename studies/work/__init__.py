@@ -10,6 +10,6 @@ pool          does tasks in processes here, or on a cluster (cluster)
 worker        what each kind of task does; of a case (case), of its limits (small_strain)
 cache         answers as files under their keys
 run           a plan done: locks, tasks, failures, report
-explain, scene_check   what a plan says, refuses, and doubts
+explain       what a plan says, refuses, and doubts
 provenance    where a case comes from
 """

@@ -13,10 +13,10 @@ from fem_reference.condensed import CondensedProblem
 from fem_reference.finite_strain import OUTPUTS, FiniteStrainProblem
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
-from fem_reference.load_path import LoadPath
 from fem_reference.loads import Load, nodal_forces
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
+from fem_reference.newton import LoadPath
 from fem_reference.solution import Solution
 from fem_reference.surface_stretch import BIOT, most_compressed
 from solver_common.progress import Progress, reported
