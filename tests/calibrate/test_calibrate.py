@@ -27,7 +27,6 @@ from vdmbench.calibrate import (
     calibrate,
     fit,
     least_error,
-    least_squares_of_moduli,
     table,
 )
 from vdmbench.measures.case import Run
@@ -383,9 +382,3 @@ def test_no_multiple_beside_the_fit_has_a_smaller_error(
 def test_a_modulus_stays_at_its_rule_where_all_loads_are_movements(samples: list[Sample], model: str) -> None:
     known = answered(moved(samples, force=0.0), "vdm-paper", [1.0], ["bulk_modulus"])
     assert_allclose(least_error(Trial(model, known)), 1.0, rtol=1e-5, atol=0)
-
-
-def test_the_best_factor_on_two_parts_is_that_of_least_squares() -> None:
-    """Movements (1, 0), forces (0, 3) / c, wanted (1.5, 1): c = 3, whatever the movements leave."""
-    found = least_squares_of_moduli(lambda m: np.array([1.0, 3.0 / m[0]]), np.array([1.5, 1.0]), 1)
-    assert_allclose(found, 3.0, rtol=1e-5, atol=0)

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,8 +22,6 @@ from vdmbench.scene.result import ModelResult
 from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.registry import DISPLACEMENT_ELEMENTS, Family, family_of, is_linear, split
 from vdmbench.study.schema import Study, VdmTable
-from vdmbench.work.explain import refused
-from vdmbench.work.plan import make_plan
 
 STUDY: dict[str, Any] = {
     "study": {"name": "test", "models": ["vdm-paper"]},
@@ -343,18 +340,3 @@ def test_a_model_without_fibres_is_refused_by_itself(mesh: Mesh) -> None:
         assert softer.status[0].message == "contrast is 0.5"
         assert softer.status[0].remedy == "give 1 or more: fibres stiffen the body"
     assert of_fibres(mesh, "vdm-paper", {"fibre_direction": Z, "contrast": 0.5}).status[0].ok
-
-
-def test_a_plan_names_the_models_that_refuse_fibres(mesh: Mesh, tmp_path: Path) -> None:
-    fibres = {"fibre_direction": X, "contrast": 4.0}
-    ours = {name for name, model in models.all_models().items() if model.family is not Family.ENGINES}
-    names = sorted(ours - {"fem"})
-    asked = TOUCHED | {"study": STUDY["study"] | {"models": names}}
-    study = Study.model_validate(asked | {"anisotropy": fibres})
-    plan = make_plan(study, tmp_path / "run", tmp_path / "cache")
-    told = {line.split()[0] for line in refused(plan, plan.cases)}
-    refusing = ("bem", "bem-sparse", "mass-spring")
-    assert told == {
-        name for name in refusing if of_fibres(mesh, name, fibres).status[0].code == models.REFUSED
-    }
-    assert len(told) == 3

@@ -9,6 +9,7 @@ import urllib.request
 import xml.etree.ElementTree
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from tests.report.runs import REFERENCE, sweep_run
 from vdmbench.measures.case import Run
 from vdmbench.report.page import page_html
 
+Seen = TypeVar("Seen")
 VIEWER = "document.querySelector('.viewer')"
 
 
@@ -53,10 +55,15 @@ def stage(browser: Browser) -> np.ndarray:
 
 def stage_where(browser: Browser, drawn: Callable[[np.ndarray], bool]) -> np.ndarray:
     """The drawing once it is as it should be: a busy machine shows an old frame for a while."""
+    return where(stage, browser, drawn)
+
+
+def where(look: Callable[[Browser], Seen], browser: Browser, drawn: Callable[[Seen], bool]) -> Seen:
+    """What a look sees once it is as it should be."""
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
-        if drawn(image := stage(browser)):
-            return image
+        if drawn(found := look(browser)):
+            return found
     raise AssertionError("the drawing is not as it should be")
 
 
@@ -107,11 +114,7 @@ def views(browser: Browser) -> dict[str, np.ndarray]:
 
 def views_where(browser: Browser, drawn: Callable[[dict[str, np.ndarray]], bool]) -> dict[str, np.ndarray]:
     """The views once they are as they should be, as `stage_where`."""
-    until = time.monotonic() + PATIENCE
-    while time.monotonic() < until:
-        if drawn(found := views(browser)):
-            return found
-    raise AssertionError("the views are not as they should be")
+    return where(views, browser, drawn)
 
 
 # --- the page ---

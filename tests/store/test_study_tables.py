@@ -90,11 +90,6 @@ def test_the_bar_of_three_levels_goes_before_one_of_the_outer_two() -> None:
     assert np.isnan([value_bar(case, name, DRIFT) for name in others]).all()
 
 
-def test_a_reference_on_one_mesh_has_the_bar_that_was_measured() -> None:
-    case = dataclasses.replace(refined_case(1.0), reference_error={f"gci:{DRIFT}": 0.25})
-    assert value_bar(case, REFINED, DRIFT) == 0.25
-
-
 def test_a_figure_that_two_levels_give_alike_has_the_bar_of_the_displacement() -> None:
     alike = {"levels": 2.0, "gci:relative_l2_displacement_error": 0.02, f"gci:{INDENTATION_FORCE}": 0.0}
     case = dataclasses.replace(refined_case(2.0), reference_error=alike)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from vdmbench.models import model_names
 from vdmbench.study.config import StudyError, geometry_error
 from vdmbench.study.errors import MeshError
 from vdmbench.work.plan import make_plan
@@ -52,8 +51,3 @@ def test_too_many_nodes_are_told_where_the_mesh_size_is_swept(tmp_path: Path) ->
         make_plan(study, tmp_path / "run", tmp_path / "cache")
     (problem,) = caught.value.problems
     assert (problem.line, problem.key) == (27, 'sweep."geometry.mesh_size"')
-
-
-def test_models_are_those_of_the_registry(tmp_path: Path) -> None:
-    for name in model_names():
-        assert load(tmp_path, SMALL.replace("vdm-paper", name)).study.models == (name,)
