@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from tests.vdm.vdm_shapes import box, icosphere, torus
 from vdm import Load, Model, Parameters, SurfaceMesh
-from vdm.boundary import kernels, operators
+from vdm.boundary import collapses, kernels, operators
+from vdm.boundary.coarsening import coarsened
 from vdm.boundary.operators import Facets, assembled, layers, surface_stiffness
 from vdm.boundary.tractions import shared
 from vdm.surface import rigid_basis
@@ -109,10 +110,13 @@ def test_what_is_compiled_once_is_compiled_before_it_is_timed(n_nodes: int) -> N
         kernels.add_layers,
         kernels.add_transposed,
         kernels.add_own_transposed,
+        collapses.usable,
+        collapses.costs,
     )
     known = [len(loop.signatures) for loop in loops]
     for nu in (0.3, 0.5):
         surface_stiffness(body(), nu, operators.precision(n_nodes))
+    coarsened(SurfaceMesh(*icosphere(2)), 60)
     assert [len(loop.signatures) for loop in loops] == known
 
 

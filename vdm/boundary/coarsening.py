@@ -9,15 +9,10 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from solver_common.arrays import Array, Index, Mask
+from vdm.boundary.collapses import costs, usable
 from vdm.boundary.spacing import evenly_spaced
-from vdm.surface import SurfaceMesh, cross
+from vdm.surface import SurfaceMesh
 
-# a collapse may not turn a facet by more than this, nor squeeze it below this share of an equilateral one
-LEAST_COSINE = 0.5
-LEAST_QUALITY = 0.2
-MOST_NEIGHBOURS = 9
-# a distance from the planes of the facets that vanish counts this many times more than length
-OFF_PLANE = 8.0
 # the shares of the edges that a round looks at, the shortest, and of the nodes found that it may take, the cheapest
 SHARE = 0.2
 # numbers near 1 that are the same to as many decimals are taken as equal
@@ -129,53 +124,29 @@ def node_order(surface: SurfaceMesh) -> Index:
 
 def _candidates(points: Array, size: Array, triangles: Index, share: float) -> tuple[Index, Index]:
     """Nodes (k,) that may go, the cheapest ones, each onto its cheapest neighbour (k,)."""
-    n = len(points)
     # every edge once in each direction
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    adjacent = sparse.csr_array((np.ones(len(start), dtype=np.int32), (start, end)), shape=(n, n))
-    shared = np.asarray((adjacent @ adjacent)[start, end]).ravel()
-    valence = np.diff(adjacent.indptr)
-    left = valence[start] + valence[end] - 4
-    # two are left of a tetrahedron: a shell, as of a small cavity, keeps four nodes
-    usable = (shared == 2) & (left >= 3) & (left <= MOST_NEIGHBOURS)
-    along = points[end] - points[start]
-    square = np.round(np.einsum("hc,hc->h", along, along) / (size[start] * size[end]), DECIMALS)
-    half = np.flatnonzero(usable)
-    half = half[square[half] <= np.quantile(square[half], share)] if len(half) else half
-    if not len(half):
-        return half, half
-    # every pair of such a half-edge start -> end and a facet of its start, whose other corners are b and c
-    order = np.argsort(start, kind="stable")
-    first = np.concatenate([[0], np.cumsum(np.bincount(start, minlength=n))])
-    repeats = valence[start[half]]
-    starts = np.cumsum(repeats) - repeats
-    pair = np.repeat(np.arange(len(half)), repeats)
-    corner = order[first[start[half]][pair] + np.arange(len(pair)) - starts[pair]]
-    b, c = end[corner], np.roll(triangles, -2, axis=1).ravel()[corner]
-    gone, onto = start[half][pair], end[half][pair]
-    vanishes = (b == onto) | (c == onto)
-    x, y, z, moved = points[gone], points[b], points[c], points[onto]
-    before, after = cross(y - x, z - x), cross(y - moved, z - moved)
-    area, new_area = (np.sqrt(np.einsum("pc,pc->p", v, v)) for v in (before, after))
-    sides = [np.einsum("pc,pc->p", v, v) for v in (y - moved, z - moved, z - y)]
-    good = np.einsum("pc,pc->p", before, after) > LEAST_COSINE * area * new_area
-    good &= 2.0 * np.sqrt(3.0) * new_area > LEAST_QUALITY * (sides[0] + sides[1] + sides[2])
-    good |= vanishes
-    off_plane = np.abs(np.einsum("pc,pc->p", before, moved - x)) / (area * size[onto])
-    own = size[onto]
-    longest = np.maximum(sides[0] / (own * size[b]), sides[1] / (own * size[c]))
-    length = np.sqrt(np.where(vanishes, 0.0, longest))
-    allowed = np.logical_and.reduceat(good, starts)
-    cost = np.maximum.reduceat(length, starts) + OFF_PLANE * np.maximum.reduceat(off_plane, starts)
-    cost = np.round(cost, DECIMALS)
-    half, cost = half[allowed], cost[allowed]
+    by_start = np.argsort(start, kind="stable")
+    first = np.concatenate([[0], np.cumsum(np.bincount(start, minlength=len(points)))])
+    half = np.flatnonzero(usable(end, by_start, first))
+    along = points[end[half]] - points[start[half]]
+    square = np.round(np.einsum("hc,hc->h", along, along) / (size[start[half]] * size[end[half]]), DECIMALS)
+    half = half[square <= _at_share(square, share)] if len(half) else half
+    cost = np.round(costs(points, size, triangles, half, by_start, first), DECIMALS)
+    half, cost = half[cost >= 0.0], cost[cost >= 0.0]
     if not len(half):
         return half, half
     by_node = np.lexsort((end[half], cost, start[half]))
     _, best = np.unique(start[half][by_node], return_index=True)
     chosen = by_node[best]
-    cheapest = chosen[cost[chosen] <= np.quantile(cost[chosen], share)]
+    cheapest = chosen[cost[chosen] <= _at_share(cost[chosen], share)]
     return start[half][cheapest], end[half][cheapest]
+
+
+def _at_share(values: Array, share: float) -> float:
+    """The value that so many of some (k,) are at most."""
+    k = int(share * (len(values) - 1))
+    return float(np.partition(values, k)[k])
 
 
 def _independent(triangles: Index, n: int, nodes: Index, random: np.random.Generator) -> Index:

@@ -34,6 +34,7 @@ from scipy.linalg import blas, lapack
 
 from solver_common.arrays import Array, Index
 from solver_common.closed_surfaces import closed_pieces
+from vdm.boundary.coarsening import coarsened
 from vdm.boundary.kernels import (
     add_layers,
     add_own_transposed,
@@ -51,6 +52,7 @@ from vdm.boundary.refinement import (
     wide_transposed_product,
 )
 from vdm.boundary.rims import Rims
+from vdm.surface import SurfaceMesh
 
 # Nodes up to which nothing is spared: all is in double precision, and each facet has its own traction. Of more,
 # single precision halves time and memory; what it leaves in smooth displacements is taken out
@@ -203,10 +205,9 @@ def precision(n_nodes: int) -> type[np.floating[Any]]:
 
 def compile_for(n_nodes: int) -> None:
     """Compile the loops that so many nodes need, or read them from the disk: seconds at first, then nothing."""
-    corners = np.vstack([np.zeros(3), np.eye(3)])
-    surface_stiffness(
-        Facets.of(corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]), 0.5, precision(n_nodes)
-    )
+    least = SurfaceMesh(np.vstack([np.zeros(3), np.eye(3)]), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    surface_stiffness(Facets.of(least.points, least.triangles), 0.5, precision(n_nodes))
+    coarsened(least, 3)
 
 
 def surface_stiffness(

@@ -71,7 +71,9 @@ def _places(triangles: Index, splits: int) -> tuple[Index, Array]:
     step = np.broadcast_to(steps, (len(triangles), *steps.shape)).reshape(-1, 3)
     # a corner without a share stands for none: a place on an edge is then the same from both sides
     key = np.repeat(triangles, len(steps), axis=0) * (splits + 1) + step
-    key = np.unique(np.sort(np.where(step > 0, key, -1), axis=1), axis=0)
+    key = np.sort(np.where(step > 0, key, -1), axis=1)
+    key = key[np.lexsort(key.T[::-1])]
+    key = key[np.append(True, (key[1:] != key[:-1]).any(axis=1))]
     share = np.where(key < 0, 0, key % (splits + 1)) / splits
     node = key // (splits + 1)
     return np.where(key < 0, node[:, 2:], node), share
@@ -128,15 +130,16 @@ def _flipped(nodes: Array, facets: Index) -> Index:
         start, end = facets.ravel(), np.roll(facets, -1, axis=1).ravel()
         code = start * n + end
         order = np.argsort(code)
+        ascending = code[order]
         one = np.flatnonzero(start < end)
-        two = order[np.searchsorted(code[order], (end * n + start)[one])]
+        two = order[np.searchsorted(ascending, (end * n + start)[one])]
         third = np.roll(facets, -2, axis=1).ravel()
         corners = np.stack([start[one], end[one], third[one], third[two]])
         a, b, c, d = corners
         p, q, r, s = nodes[corners]
         gain = -_cotangent(p - r, q - r) - _cotangent(p - s, q - s)
         valence = np.bincount(start, minlength=n)
-        good = (gain > LEAST_GAIN) & ~np.isin(c * n + d, code)
+        good = (gain > LEAST_GAIN) & (ascending[np.searchsorted(ascending[:-1], c * n + d)] != c * n + d)
         good &= (np.minimum(valence[a], valence[b]) > 4) & (
             np.maximum(valence[c], valence[d]) < MOST_NEIGHBOURS
         )
@@ -162,10 +165,8 @@ def _flipped(nodes: Array, facets: Index) -> Index:
 
 def _gathered(values: Array, facets: Index, n: int) -> Array:
     """(n, k) sums at the nodes of values (m, k) of the facets."""
-    sums = np.zeros((n, values.shape[1]))
-    for corner in facets.T:
-        np.add.at(sums, corner, values)
-    return sums
+    corners = facets.T.ravel()
+    return np.stack([np.bincount(corners, np.tile(column, 3), n) for column in values.T], axis=1)
 
 
 def _area_vectors(points: Array, triangles: Index) -> Array:

@@ -231,6 +231,8 @@ def _bodies(points: Array, triangles: Index) -> list[Index]:
     """The facets (F, 3) by body: closed outer surfaces, each with the walls of the cavities in it."""
     of = closed_pieces(triangles)
     pieces = [triangles[of == k] for k in range(of.max() + 1)]
+    if len(pieces) == 1:
+        return pieces
     bodies = [piece for piece in pieces if volume(points, piece) > 0.0]
     for wall in (piece for piece in pieces if volume(points, piece) <= 0.0):
         around = [
