@@ -216,18 +216,12 @@ def test_a_group_of_tetrahedra_is_kept_with_the_mesh(bar: Mesh, tmp_path: Path) 
 
 PLAIN = {"youngs_modulus": 1000.0, "poisson_ratio": 0.5}
 PRESSED = [{"kind": "fixed", "region": "bottom"}, {"kind": "contact", "region": "top", "pressure": 300.0}]
-# each with numbers that leave I1' alone, whose energy differs from the neo-Hookean one where J is not 1, and others
+# each with numbers that leave I1' alone, whose energy differs from the neo-Hookean one where J is not 1
 NEO = {
     "mooney-rivlin": {"second_share": 0.0},
     "yeoh": {"second_ratio": 0.0, "third_ratio": 0.0},
     "fung": {"exponent": 1e-9},
     "ogden": {"exponents": [2.0], "shares": [1.0]},
-}
-OTHER = {
-    "mooney-rivlin": {"second_share": 0.8},
-    "yeoh": {"second_ratio": 1.0, "third_ratio": 0.5},
-    "fung": {"exponent": 4.0},
-    "ogden": {"exponents": [8.0, -2.0], "shares": [0.7, 0.3]},
 }
 
 
@@ -261,11 +255,6 @@ def test_each_law_has_that_of_the_first_invariant_in_it(
     box: Mesh, law: str, of_first_invariant: np.ndarray
 ) -> None:
     assert_allclose(pressed(box, {"law": law} | NEO[law]), of_first_invariant, rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("law", OTHER)
-def test_numbers_of_a_law_make_a_difference(box: Mesh, law: str, of_first_invariant: np.ndarray) -> None:
-    assert np.abs(pressed(box, {"law": law} | OTHER[law]) - of_first_invariant).max() > 0.005
 
 
 @pytest.mark.parametrize("name", telling_names())

@@ -158,14 +158,6 @@ def test_a_sweep_is_judged_where_its_reference_is_in_range() -> None:
     assert finite.word == "yes", "finite strain has no such bound"
 
 
-@pytest.mark.parametrize(
-    ("bem", "fem", "taken"), [(0.02, 0.05, "bem"), (0.05, 0.02, "fem-p2"), (0.3, 0.2, REFERENCE)]
-)
-def test_elements_are_not_advised_below_what_is_closer(bem: float, fem: float, taken: str) -> None:
-    found = verdicts(Digest(swept({"bem": bem, "fem-p2": fem})))
-    assert {a.interaction: a.model for a in found.take}["a few per cent needed"] == taken
-
-
 def with_status(case: CaseResult, model: str, message: str) -> CaseResult:
     """The case with a message at every step of a model."""
     status = tuple(Status("converged", message, "take boundary elements") for _ in case.load_factors)

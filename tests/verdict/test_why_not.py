@@ -252,7 +252,7 @@ def test_condensed_elements_are_not_advised_for_what_they_refuse() -> None:
 
 @pytest.mark.parametrize(
     ("surface", "elements", "model"),
-    [(0.035, 0.04, "fem-linear"), (0.035, 0.2, "bem"), (0.098, 0.104, "bem")],
+    [(0.035, 0.04, "fem-linear"), (0.035, 0.2, "bem"), (0.098, 0.104, "bem"), (0.3, 0.2, "fem")],
 )
 def test_elements_serve_a_few_per_cent_unless_a_surface_model_is_surely_closer(
     surface: float, elements: float, model: str
