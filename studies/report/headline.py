@@ -8,6 +8,7 @@ from typing import Any
 from ..machine import plain
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
+from ..study.errors import plural
 from ..study.registry import Family
 from ..verdict.advice import Advice
 from ..verdict.digest import (
@@ -21,15 +22,7 @@ from ..verdict.digest import (
     digest_of,
     median_known,
 )
-from ..verdict.formatting import (
-    NOTHING,
-    capital,
-    measure,
-    percent,
-    plural,
-    quantity,
-    short_percent,
-)
+from ..verdict.formatting import NOTHING, capital, measure, percent, quantity, short_percent
 from ..verdict.verdict import Limit, Verdicts, verdicts
 from ..verdict.words import TITLES, said, told, why_not
 from .blocks import Cell, Field, Section, Table, frame_table, note, spread_cell

@@ -15,9 +15,9 @@ from markupsafe import Markup, escape
 
 from ..machine import write_atomically
 from ..measures.case import Run
+from ..study.errors import plural
 from ..study.registry import load_all
 from ..verdict.digest import Digest, digest_of
-from ..verdict.formatting import plural
 from ..verdict.verdict import verdicts
 from ..verdict.words import BESIDE, told
 from . import headline, picture

@@ -12,6 +12,7 @@ from ..measures.frame import where_reached
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
 from ..measures.metrics import METRICS, VECTOR
 from ..study.checks import only_load
+from ..study.errors import plural
 from ..study.registry import Family
 from ..verdict.digest import DRIFT, Digest, failed_steps
 from ..verdict.formatting import (
@@ -19,7 +20,6 @@ from ..verdict.formatting import (
     first_of,
     parameter_name,
     percent,
-    plural,
     quantity,
     short_percent,
     swept_value,

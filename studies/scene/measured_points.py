@@ -12,8 +12,7 @@ from ..body.mesh import Mesh
 from ..body.nearest import nearest_on_surface
 from ..study.measured import Measured, MeasuredPoint
 from ..study.schema import Study
-from .regions import body_extent
-from .scene import SceneError
+from .regions import SceneError, body_extent
 
 # of the mean edge: how far from the surface a point may be measured; flat facets leave a round body by less
 MOST_OFF = 0.5

@@ -17,8 +17,7 @@ from ..study.loads import Acts, Springs
 from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
 from .placed import PlacedConstraint, PlacedIndenter, place_indenter
-from .regions import SceneError as SceneError
-from .regions import body_extent, select
+from .regions import SceneError, body_extent, select
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED
+from ..study.errors import plural
 from ..study.registry import Family
 from . import formatting as f
 from .verdict import Verdict, Verdicts
@@ -94,7 +95,7 @@ def _templates(file: Path) -> Any:
         "plain": f.plain,
         "listed": f.listed,
         "first_of": f.first_of,
-        "count": f.plural,
+        "count": plural,
         "capital": f.capital,
         "loads": f.loads_in_words,
         "span": lambda values, unit="1", digits=4: f.span(values, unit, digits),

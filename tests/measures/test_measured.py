@@ -15,7 +15,7 @@ from vdmbench.measures.pushed import Answer
 from vdmbench.report.blocks import Table
 from vdmbench.report.section_measurement import against_measurement
 from vdmbench.scene.measured_points import place_measured
-from vdmbench.scene.scene import SceneError
+from vdmbench.scene.regions import SceneError
 from vdmbench.study.config import Study, load_study
 from vdmbench.verdict.digest import Digest
 

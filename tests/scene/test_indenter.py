@@ -16,8 +16,9 @@ from tests.in_process import do_cases
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.body.mesh import Mesh
+from vdmbench.scene.regions import SceneError
 from vdmbench.scene.result import ModelResult
-from vdmbench.scene.scene import SceneError, build_scene
+from vdmbench.scene.scene import build_scene
 from vdmbench.store.cases import read_case
 from vdmbench.study.schema import Study
 from vdmbench.work.plan import make_plan

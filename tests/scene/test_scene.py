@@ -17,8 +17,8 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refine
 from vdmbench.body.surface_measures import Surface, facet_area_vectors, nodal_sum
 from vdmbench.report.export import surface_fields
-from vdmbench.scene.regions import select
-from vdmbench.scene.scene import Scene, SceneError, build_scene
+from vdmbench.scene.regions import SceneError, select
+from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.errors import Loc
 from vdmbench.study.schema import Region, Study
 from vdmbench.work.keys import wanted

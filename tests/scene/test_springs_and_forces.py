@@ -14,8 +14,9 @@ from vdmbench.body.mesh import Mesh
 from vdmbench.body.refine import refined
 from vdmbench.body.surface_measures import facet_area_vectors, facet_areas
 from vdmbench.measures.reference import level_scene
+from vdmbench.scene.regions import SceneError
 from vdmbench.scene.result import ModelResult
-from vdmbench.scene.scene import SceneError, build_scene
+from vdmbench.scene.scene import build_scene
 from vdmbench.study.loads import KINDS
 from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import Study

@@ -25,8 +25,9 @@ from vdmbench.measures.metrics import (
 )
 from vdmbench.measures.reference import level_scene
 from vdmbench.scene.inclusions import moduli
+from vdmbench.scene.regions import SceneError
 from vdmbench.scene.result import ModelResult
-from vdmbench.scene.scene import SceneError, build_scene
+from vdmbench.scene.scene import build_scene
 from vdmbench.study.registry import is_linear
 from vdmbench.study.schema import LAWS, Study, Tissue
 
