@@ -21,13 +21,16 @@ _MOST = 40  # steps
 _REMEMBERED = 10
 
 
-def rest_shape(measured: Array, sag: Callable[[Array], Array]) -> tuple[Array, Array]:
+def rest_shape(
+    measured: Array, sag: Callable[[Array], Array], start: Array | None = None
+) -> tuple[Array, Array]:
     """The points of a rest shape that sags into a measured one.
 
     Parameters
     ----------
     measured : (n, 3) points under the weight [m]
     sag : (n, 3) points at rest -> (n, 3) their displacement under the weight [m]; may raise `SolverError`
+    start : (n, 3) points to start from, None for the measured ones [m]
 
     Returns
     -------
@@ -41,7 +44,7 @@ def rest_shape(measured: Array, sag: Callable[[Array], Array]) -> tuple[Array, A
     """
     from vdm.solvers.anderson import Anderson
 
-    rest, anderson = measured, Anderson(_REMEMBERED)
+    rest, anderson = measured if start is None else start, Anderson(_REMEMBERED)
     for _ in range(_MOST):
         try:
             displacement = sag(rest)

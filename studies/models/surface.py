@@ -56,24 +56,30 @@ def _scanned(scene: Scene, name: str) -> SetUp:
 
     start, mesh, rest, springs = time.perf_counter(), scene.mesh, scene, _springs(scene)
     model = _model(scene, name, springs)
-    search = Unloading(solver(), _load(scene.load(0.0)))
+    measured = mesh.surface_points
+    search = Unloading(measured, _load(scene.load(0.0)))
 
     def sag(points: Array) -> Array:
         """Of the rest shape that has the stiffness of this one: what is found has its own."""
         nonlocal rest, springs, model
-        if points is not search.seen:
+        if points is not measured:
             moved = mesh.points.copy()
-            moved[mesh.surface_nodes] = points[: len(mesh.surface_nodes)]
+            moved[mesh.surface_nodes] = points
             rest = dataclasses.replace(scene, mesh=dataclasses.replace(mesh, points=moved))
             springs = _springs(rest)
             model = _model(rest, name, springs, search.cut(points))
-        return search.seen - search.rest(solver())
+        return measured - search.rest(solver())
 
-    rest_shape(search.seen, sag)
-    found = _set_up(model, springs, scene)
-    weighed = found.solve([rest.load(0.0)])
-    if not weighed.status[0].ok:
-        raise SolverError(weighed.status[0])
+    points, number, needed = measured, 0, 1
+    while needed > number:  # parts; the sag may ask for twice as many
+        search.begin(needed)
+        points, _ = rest_shape(measured, sag, points)
+        number = solver().body.n_parts
+        found = _set_up(model, springs, scene)
+        weighed = found.solve([rest.load(0.0)])
+        if not weighed.status[0].ok:
+            raise SolverError(weighed.status[0])
+        needed = solver().body.n_parts
     seconds = time.perf_counter() - start
 
     def on_rest(load: SurfaceLoad) -> SurfaceLoad:
@@ -310,7 +316,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="34",
+        version="35",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),

@@ -601,6 +601,6 @@ def test_a_search_for_a_rest_shape_takes_double_precision(monkeypatch: pytest.Mo
 
 def test_a_load_that_cannot_be_undone_is_named_with_the_share_that_was() -> None:
     model = clamped(ROD, 0.2, density=1e3, gravity=(0.0, 0.0, -1e5), parts=2)
-    search = Unloading(model.solver, Load(np.zeros(len(ROD[0]))))
+    search = Unloading(ROD[0], Load(np.zeros(len(ROD[0]))))
     with pytest.raises(SolverError, match=r"beyond \d+ % of its weight the scan cannot be undone"):
         search.rest(model.solver)

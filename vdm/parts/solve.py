@@ -42,7 +42,7 @@ class PartsSolver:
         self._whole, self._cut = problem, cut
         self._solvers: dict[int, NonlinearSolver] = {}
         self._given = problem.formulation.parameters.parts if cut is None else len(cut.parts)
-        self._least = 1  # parts that former loads asked for
+        self.least = 1  # parts that former loads asked for
         self._finer: NonlinearSolver | None = None
         self._finer_step: Step | None = None
         self._solver: NonlinearSolver | None = None
@@ -87,9 +87,9 @@ class PartsSolver:
                 return self._wanted(linear.step(load).displacement)
 
             guess = _guess(self._whole)
-            count = min(max(self._least, 1 if guess is None else wanted(guess)), MOST_PARTS)
+            count = min(max(self.least, 1 if guess is None else wanted(guess)), MOST_PARTS)
             self._solver = self._of(count)
-            needed = max(self._least, wanted(LinearSolver(self.problem, factor=self.factor)))
+            needed = max(self.least, wanted(LinearSolver(self.problem, factor=self.factor)))
             if min(needed, MOST_PARTS) != count:
                 self._solver = self._of(min(needed, MOST_PARTS))
             self.body.wanted = needed
@@ -99,7 +99,7 @@ class PartsSolver:
         self._finer = self._twice(self.body) if asked else None
         if self._finer is not None and self._known is not None:
             (known, x, pressure), finer = self._known, _parts(self._finer)
-            self._finer.begin_near(known, _inside(finer.rest, x), np.full(finer.n_pressures, pressure))
+            self._finer.begin_near(known, inside(finer.rest, x), np.full(finer.n_pressures, pressure))
             self._known = None
         return seconds
 
@@ -134,7 +134,7 @@ class PartsSolver:
             return False
         body = _parts(finer)
         body.wanted = self.body.wanted
-        self._solver, self._least = finer, body.n_parts
+        self._solver, self.least = finer, body.n_parts
         self._finer, self._finer_step = self._twice(body), None
         return True
 
@@ -242,7 +242,7 @@ def _parts(solver: NonlinearSolver) -> Parts:
     return solver.body
 
 
-def _inside(rest: Array, x: Array) -> Array:
+def inside(rest: Array, x: Array) -> Array:
     """(n, 3) displacement of all nodes, at rest (n, 3), by that of the first (N, 3): a biharmonic spline."""
     from scipy.interpolate import RBFInterpolator  # slow to load, and only scans need it
 

@@ -24,7 +24,7 @@ from vdm.deformed import DeformedSurface, best_rotation
 from vdm.parts.body import BORDER, TURNED, Parts, inverse_inertia, turned_block
 from vdm.parts.cut import Cut
 from vdm.parts.part import dofs
-from vdm.parts.solve import PartsSolver
+from vdm.parts.solve import PartsSolver, inside
 from vdm.peers.bem import moments, turned_back
 from vdm.solution import SolverError, Status
 from vdm.solvers.nonlinear import Balance, DeformedStep, NonlinearSolver
@@ -196,39 +196,67 @@ class Unloaded(Parts):
 
 
 class Unloading:
-    """Leads a body in parts back to rest, from its shape under a load, by stiffnesses of one shape after another.
+    """Leads a body in parts back to rest, from its surface under a load, by stiffnesses of one shape after another.
 
-    Attributes
+    Parameters
     ----------
-    seen : (n, 3) positions of all nodes under the load, those of caps and rims last [m]
+    seen : (N, 3) its surface nodes under the load [m]
     """
 
-    def __init__(self, solver: PartsSolver, load: Load) -> None:
-        """`solver` of the body as it is seen, which is cut as its load needs."""
-        solver.prepare([load], compared=False)
-        self._load, self._cut, self.seen = load, solver.body.cut, solver.body.cut.points
-        self._solver = NonlinearSolver(solver.problem, Unloaded(solver.body, self.seen), solver.factor)
-        self._step: DeformedStep | None = None
+    def __init__(self, seen: Array, load: Load) -> None:
+        self._seen, self._load = seen, load
+        self._least, self._steps = 1, (np.inf, np.inf)
+        self._balance: Balance | None = None
+        self._kept: Cut | None = None
 
-    def cut(self, points: Array) -> Cut:
-        """The same parts at other positions (n, 3)."""
-        return replace(self._cut, points=points)
+    def begin(self, least: int) -> None:
+        """Go on with this many parts at least."""
+        self._least, self._steps = least, (np.inf, np.inf)
+
+    def cut(self, points: Array) -> Cut | None:
+        """Of surface nodes (N, 3): none, they are cut anew, until a step was no shorter than the last but one.
+
+        From then on it is the last one: shapes of which each asks for the other's have no end.
+        """
+        if self._kept is None:
+            return None
+        return replace(self._kept, points=np.vstack([points, self._kept.points[len(points) :]]))
 
     def rest(self, solver: PartsSolver) -> Array:
-        """(n, 3) points of the rest shape by the stiffnesses of a solver's body, cut as `cut` says [m].
+        """(N, 3) surface nodes at rest [m], by the stiffnesses of a solver's body, which is cut as its load needs.
+
+        The first body is the one that is seen, any other near its rest: its nodes inside are seen where it sags.
 
         Raises
         ------
         SolverError
             where no balance is found; it names the share of the load that was undone.
         """
-        self._solver.body = Unloaded(solver.body, self.seen)
-        step = self._solver.step(self._load, self._step)
+        solver.least = self._least
+        solver.prepare([self._load], compared=False)
+        body, n = solver.body, len(self._seen)
+        seen = points = body.cut.points
+        back = NonlinearSolver(solver.problem, Unloaded(body, seen), solver.factor)
+        if self._balance is not None:
+            x = inside(body.rest, self._seen - points[:n])
+            pressure = np.full(body.n_pressures, self._balance.pressure.mean())
+            solver.solver.begin_near(self._load, x, pressure)
+            sagged = solver.step(self._load)
+            assert isinstance(sagged, DeformedStep)
+            if sagged.balance is not None and sagged.status.ok:
+                x, pressure = sagged.balance.x, sagged.balance.pressure
+                solver.begin_at(self._load, x, pressure)
+            seen = np.vstack([self._seen, (points + x)[n:]])
+            back.body = Unloaded(body, seen)
+            back.begin_near(self._load, points - seen, pressure)
+        step = back.step(self._load)
         assert isinstance(step, DeformedStep)
         if step.balance is None or not step.status.ok:
             raise SolverError(Status("no-rest-shape", NO_REST_SHAPE.format(100 * step.reached), REMEDY))
-        self._step = step
-        # from there under its load the body comes back
-        moved = self.seen - solver.body.cut.points
-        solver.begin_at(self._load, moved, step.balance.pressure)
-        return np.asarray(self.seen + step.balance.x)
+        self._balance = step.balance
+        rest = seen + self._balance.x
+        far = float(np.abs(rest - points)[:n].max())
+        if self._kept is not None or far >= self._steps[0]:
+            self._kept = replace(body.cut, points=rest)
+        self._steps = self._steps[1], far
+        return np.asarray(rest[:n])
