@@ -19,6 +19,7 @@ from .digest import Digest, Figures, failed_steps, median_known
 MODEL, LEFT_OUT, SMALL_STRAIN, MESH = "model", "left out", "small strain", "mesh"
 COMPRESSIBILITY = "compressibility"
 REFERENCE, TIME, NO_ANSWER, NOT_TOLD = "reference", "time", "no answer", "not told apart"
+OF_ALL_CASES = {COMPRESSIBILITY, REFERENCE, TIME, NO_ANSWER}  # the others are seen in the one that decides
 HALF = 0.5  # of what a limit allows: from there on a cause is named
 SMALL = 0.3  # of the largest load: what a step may carry to be called a small one
 POISSON = "tissue.poisson_ratio"

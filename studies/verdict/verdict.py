@@ -34,7 +34,7 @@ from .acceptance import (
     up_to,
     word_of,
 )
-from .advice import NO_ANSWER, Advice, Reason, Shortfall, by_interaction, reasons
+from .advice import OF_ALL_CASES, Advice, Reason, Shortfall, by_interaction, reasons
 from .digest import Digest, Figures, Outside, Unreached, failed_steps, median_known
 from .reading import reading
 
@@ -75,7 +75,7 @@ class Verdict:
     counts : how many cases are within, undecided, beyond, without an answer
     limits : one entry a limit
     why_not : causes, of what is not within
-    seen_in : the case whose figures show them; empty of a study of one case, and where cases have no answer
+    seen_in : the case whose figures show them; empty of a study of one case, and where all cases show them
     up_to : the load up to which every judged case is within; None where the loads are not known
     states : hash of each case -> its word
     """
@@ -236,7 +236,7 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
     states = digest.standing(model)
     judged = {case.hash: WORD[state] for case, state in zip(digest.cases, states.tolist(), strict=True)}
     causes, one_case = reasons(digest, model), Shortfall(digest, model).case
-    is_seen = len(digest.cases) > 1 and any(reason.cause != NO_ANSWER for reason in causes)
+    is_seen = len(digest.cases) > 1 and any(reason.cause not in OF_ALL_CASES for reason in causes)
     return Verdict(
         family=family.value,
         word=word_of(states.tolist()),

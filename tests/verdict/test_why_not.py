@@ -242,6 +242,22 @@ def test_a_frame_that_takes_too_long_is_told() -> None:
     assert causes(make_run([case], acceptance={"frame_time": 5e-4})) == {}
 
 
+def test_the_case_in_which_a_cause_was_seen_is_named_and_none_of_what_is_told_of_all_cases() -> None:
+    near, far = (
+        dataclasses.replace(
+            measured_anew(make_case({"vdm-vector": off}, subdivisions=0)), hash=name, label=name
+        )
+        for name, off in (("near", 0.02), ("far", 0.2))
+    )
+    assert verdicts(Digest(make_run([near, far])))["vdm-derived"].seen_in == "far"
+    assert verdicts(Digest(make_run([far])))["vdm-derived"].seen_in == ""
+    slow = make_run(
+        [near, dataclasses.replace(near, hash="same", label="same")], acceptance={"frame_time": 3e-4}
+    )
+    assert causes(slow).keys() == {TIME}, "the longest of all cases"
+    assert verdicts(Digest(slow))["vdm-derived"].seen_in == ""
+
+
 def test_condensed_elements_are_not_advised_for_what_they_refuse() -> None:
     pushed = {"kind": "indenter", "depth": 1e-3, "shape": "sphere", "radius": 0.01}
     for contact, kinds in ((None, ["condensed"]), (pushed, [])):
