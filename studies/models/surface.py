@@ -56,6 +56,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
 
     start, mesh, rest, springs = time.perf_counter(), scene.mesh, scene, _springs(scene)
     model = _model(scene, name, springs)
+    seconds = time.perf_counter() - start
     measured = mesh.surface_points
     search = Unloading(measured, _load(scene.load(0.0)))
 
@@ -70,17 +71,23 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             model = _model(rest, name, springs, search.cut(points))
         return measured - search.rest(solver())
 
-    points, number, needed = measured, 0, 1
-    while needed > number:  # parts; the sag may ask for twice as many
-        search.begin(needed)
-        points, _ = rest_shape(measured, sag, points)
-        number = solver().body.n_parts
-        found = _set_up(model, springs, scene)
-        weighed = found.solve([rest.load(0.0)])
-        if not weighed.status[0].ok:
-            raise SolverError(weighed.status[0])
-        needed = solver().body.n_parts
-    seconds = time.perf_counter() - start
+    points = measured
+
+    def led_back(needed: int) -> tuple[SetUp, Array]:
+        """The body at rest, in so many parts at least, and its sag, which may ask for twice as many."""
+        nonlocal points, seconds
+        began, number = time.perf_counter(), 0
+        while needed > number:
+            search.begin(needed)
+            points, _ = rest_shape(measured, sag, points)
+            number = solver().least = solver().body.n_parts
+            found = _set_up(model, springs, scene)
+            weighed = found.solve([rest.load(0.0)])
+            if not weighed.status[0].ok:
+                raise SolverError(weighed.status[0])
+            needed = solver().body.n_parts
+        seconds += time.perf_counter() - began
+        return found, np.asarray(weighed.displacement[0])
 
     def on_rest(load: SurfaceLoad) -> SurfaceLoad:
         """The pressures of a load as forces on the rest shape, with which they turn."""
@@ -89,8 +96,19 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             load, contact_pressure=own.contact_pressure, contact_force=own.contact_force
         )
 
-    sagged = np.asarray(weighed.displacement[0])
-    return SetUp(lambda loads: from_scan(found.solve([on_rest(load) for load in loads]), sagged, seconds))
+    found, sagged = led_back(1)
+
+    def solve(loads: Sequence[SurfaceLoad]) -> Solution:
+        """Of the parts that the loads need, by the rest shape that sags in as many."""
+        nonlocal found, sagged
+        while True:
+            number = solver().body.n_parts
+            solution = found.solve([on_rest(load) for load in loads])
+            if solver().body.n_parts <= number:
+                return from_scan(solution, sagged, seconds)
+            found, sagged = led_back(solver().body.n_parts)
+
+    return SetUp(solve)
 
 
 def _set_up(model: Model | IncrementalModel, springs: sparse.csr_array | None, scene: Scene) -> SetUp:
@@ -316,7 +334,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="35",
+        version="36",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),

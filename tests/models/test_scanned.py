@@ -105,6 +105,31 @@ def test_a_body_in_parts_is_recovered_as_its_rest_shape_is_cut(monkeypatch: pyte
     assert_allclose(found[0], sag, rtol=0, atol=1e-3 * np.abs(sag).max())
 
 
+def test_a_load_that_asks_for_more_parts_than_the_weight_starts_from_the_scan_too() -> None:
+    """Cut for its weight alone the answer was 5 % off, and under no load the body was 1 mm off its scan."""
+    organ = STUDY | {
+        "geometry": {"shape": "organ", "size": 0.2, "mesh_size": 0.021},
+        "tissue": {"youngs_modulus": 25000.0, "poisson_ratio": 0.49},
+    }
+    fixed, contact = STUDY["constraints"]
+    organ["constraints"] = [fixed, contact | {"pressure": 6000.0}]
+    study = Study.model_validate(organ)
+    known = build_scene(study, build_mesh(study.geometry, volume=False))
+    straight = models.run_model(known, "bem:nonlinear")
+    weighed = build_scene(Study.model_validate(organ | {"load": {"factors": [0.0]}}), known.mesh)
+    fewer = models.run_model(weighed, "bem:nonlinear").scalars["parts"][0]
+    assert straight.scalars["parts"][0] > fewer
+    moved = known.mesh.points.copy()
+    moved[known.mesh.surface_nodes] += straight.displacement[0]
+    scanned = Study.model_validate(organ | {"gravity": {"acceleration": WEIGHT, "scanned": True}})
+    scan = build_scene(scanned, dataclasses.replace(known.mesh, points=moved), known.regions)
+    result = models.run_model(scan, "bem:nonlinear")
+    pushed = straight.displacement[1] - straight.displacement[0]
+    sag = np.abs(straight.displacement[0]).max()
+    assert_allclose(result.displacement[0], 0.0, rtol=0, atol=1e-6 * sag)
+    assert_allclose(result.displacement[1], pushed, rtol=0, atol=1e-3 * np.abs(pushed).max())
+
+
 @pytest.mark.parametrize(
     "name", ["fem-linear", "fem:plain", "bem", "bem-sparse:nonlinear", "vdm-vector:nonlinear"]
 )
