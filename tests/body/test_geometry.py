@@ -94,6 +94,13 @@ def test_volume_converges_with_the_square_of_the_mesh_size(geometry: Shape) -> N
     assert 0 < errors[-1] < 0.01
 
 
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_cylinder_lies_along_its_axis(axis: str) -> None:
+    """Its mesh has these extents, as that of every shape."""
+    extents = shaped("cylinder", 0.02, {"radius": 0.03, "length": 0.1, "axis": axis}).extents()
+    assert dict(zip("xyz", extents, strict=True)) == {"x": 0.06, "y": 0.06, "z": 0.06, axis: 0.1}
+
+
 def test_another_process_makes_the_same_bytes() -> None:
     geometry = resized(ORGAN, 0.02)
     script = (
