@@ -181,26 +181,18 @@ class Newton:
     def follow(self, state: State, start: ScaledLoad, end: ScaledLoad) -> Iterator[Substep]:
         """Go from one load to another in substeps as long as convergence allows.
 
-        Every attempt is yielded; the last one either reaches load factor one or has failed. Where a step
-        from an unstable state heads for J = 0 short of a load that failed, that attempt is yielded again.
+        Every attempt is yielded; the last one either reaches load factor one or has failed.
         """
-        substeps, wall = Substeps(), None
+        substeps = Substeps()
         while substeps.reached < 1.0:
-            reached, target = substeps.reached, substeps.target
-            attempt = self.solve(state, start.towards(end, target), target, reached)
+            target = substeps.target
+            attempt = self.solve(state, start.towards(end, target), target, substeps.reached)
             yield attempt
             if attempt.converged:
+                state = attempt.state
                 substeps.found(len(attempt.residuals) - 1 <= _EASY)
-                before, state = state, attempt.state
-                if wall and target < wall.load_factor and self._is_unstable(replace(wall, state=before)):
-                    ahead = (wall.load_factor - target) / (target - reached)
-                    if self._turns_inside_out(before, state, ahead):
-                        yield replace(wall, state=state, residuals=wall.residuals[-1:])
-                        return
             elif attempt.code == "too-small" or not substeps.failed() or self._is_unstable(attempt):
                 return
-            else:
-                wall = attempt
 
     def _is_unstable(self, failed: Substep) -> bool:
         """Whether the surface or the tangent before a failed substep is unstable: shorter ones do not help."""
@@ -210,11 +202,6 @@ class Newton:
         crumpled = most_compressed(mesh, failed.state.displacement * mesh.mean_edge).plane < BIOT
         unsolved = failed.code == "linear-solver" and len(failed.residuals) == 1  # the state's own tangent
         return crumpled or unsolved
-
-    def _turns_inside_out(self, before: State, state: State, ahead: float) -> bool:
-        """Whether the least volume ratio J is gone after `ahead` more steps as that between two states."""
-        old, new = (self.assembly.least_volume_ratio(one.displacement)[0] for one in (before, state))
-        return new <= ahead * (old - new)
 
     def solve(self, state: State, load: ScaledLoad, load_factor: float, reached: float = 0.0) -> Substep:
         """Newton iterations from a state, at load factor `reached`, to equilibrium under a load."""
