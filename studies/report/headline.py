@@ -92,7 +92,7 @@ def against_limits(verdicts: Verdicts, digest: Digest) -> Table | None:
             for one in limits
         ),
         Field("Up to which load", lambda one: capital(" ".join(said("reached", one)))),
-        Field("Why not", lambda one: Cell(" ".join(map(capital, why_not(one))), one.seen_in)),
+        Field("Why not", lambda one: Cell(" ".join(map(capital, why_not(one))) or NOTHING, one.seen_in)),
     ]
     return frame_table(judged, fields, "acceptance", mark=lambda one: digest.colour(one.model), tools=False)
 
