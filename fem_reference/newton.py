@@ -284,9 +284,8 @@ class Newton:
         if not step.any():
             wanted = max(0.1 * found.relative, 0.1 * self.tolerance / found.relative)
             forcing = float(np.clip(wanted, _LEAST_FORCING, _MOST_FORCING))
-        if (
-            self.contact is not None
-        ):  # what is left beside the penalty's forces is so much less beside the body's
+        if self.contact is not None:
+            # what is left beside the penalty's forces is so much less beside the body's
             forcing = max(forcing / PENALTY, _LEAST_FORCING)
         x, solved = self.solver.solve(tangent, -found.linear - tangent.action(step), forcing)
         n, kept = self.system.n_displacements, self.system.kept

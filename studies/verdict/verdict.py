@@ -235,7 +235,7 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
     model = digest.deciding(family)
     states = digest.standing(model)
     judged = {case.hash: WORD[state] for case, state in zip(digest.cases, states.tolist(), strict=True)}
-    causes, one_case = reasons(digest, model), Shortfall(digest, model).case
+    causes = reasons(digest, model)
     is_seen = len(digest.cases) > 1 and any(reason.cause not in OF_ALL_CASES for reason in causes)
     return Verdict(
         family=family.value,
@@ -246,7 +246,7 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
         counts=counted(states),
         limits=tuple(_limit(digest, model, one) for one in digest.criteria),
         why_not=causes,
-        seen_in=digest.case_name(one_case) if is_seen else "",
+        seen_in=digest.case_name(Shortfall(digest, model).case) if is_seen else "",
         up_to=up_to(digest.known_loads, digest.worst_states(model, of_load=True)),
         states={**unjudged, **judged},
     )

@@ -97,6 +97,10 @@ def test_a_surface_of_ones_own(tmp_path: Path, liver: Path) -> None:
     assert plan["cases_to_run"] == 1
 
 
+def test_the_front_page_is_short() -> None:
+    assert len(TEXT.split()) <= 700
+
+
 def test_the_tutorial(tmp_path: Path) -> None:
     """On the procedural organ, written as a surface."""
     study = load_study(documents.ROOT / "studies" / "cases" / "liver-palpation.toml")

@@ -79,6 +79,12 @@ def test_what_a_name_tells_is_what_the_registry_knows() -> None:
     assert split("fem refined") == ("fem", "linear")
 
 
+@pytest.mark.parametrize("name", ["vdm", "vdm-paper:magic", "fem-linear:lu", ""])
+def test_other_names_are_unknown(name: str) -> None:
+    with pytest.raises(KeyError):
+        models.find(name)
+
+
 def test_parameters_come_from_the_study_the_model_or_the_rule() -> None:
     study = Study.model_validate(
         STUDY

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import REFERENCE, make_case, make_run
@@ -37,6 +38,11 @@ def test_a_ball_that_swells_moves_along_its_normals() -> None:
     assert share("rigid_share", swollen) < 1e-3
     mixed = swollen + np.array([0.0, 0.0, 1e-2])
     assert_allclose(share("rigid_share", mixed), np.sqrt(0.5), rtol=1e-3, atol=0)
+
+
+@pytest.mark.parametrize("name", ["rigid_share", "tangential_share"])
+def test_a_body_at_rest_has_no_share(name: str) -> None:
+    assert np.isnan(share(name, np.zeros_like(POINTS)))
 
 
 def run_with_a_scalar_form() -> Run:
