@@ -332,7 +332,7 @@ def test_frames_on_a_kept_slope_are_those_of_one_made_for_each(monkeypatch: pyte
     """Of a force that turns and grows: from where a cubic of the last loads points to, and from rest."""
     made: list[None] = []
     make = Parts._slope_at
-    monkeypatch.setattr(Parts, "_slope_at", lambda *given: (made.append(None), make(*given))[1])
+    monkeypatch.setattr(Parts, "_slope_at", lambda *given, **how: (made.append(None), make(*given, **how))[1])
     bar = box(counts=(16, 3, 3), size=(LENGTH, SIDE, SIDE))
     loads = [
         at_tip(bar[0], 1e-5 * np.array([0.0, 3.0 * np.sin(0.7 * k), -100.0 - 2.0 * np.cos(k)]))
