@@ -2,7 +2,8 @@
 
 A point of a triangle is given by its barycentric coordinates. Where two triangles touch, the kernel 1/r has a pole
 or a line of poles. The maps of Sauter and Schwab (Boundary Element Methods, 2011, section 5.2) take it out: they
-write the domain as a few unit cubes whose Jacobian cancels it, so that Gauss points converge exponentially.
+write the domain as a few unit cubes whose Jacobian cancels it, so that Gauss points converge exponentially. In one
+direction, away from a shared corner, flat triangles scale: there one point is exact.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from solver_common.arrays import Array
 
 Rule = tuple[Array, Array, Array]
 
-# Gauss points in each of the four directions of a map
+# Gauss points in each of the three directions of a map in which the triangles do not scale
 SINGULAR_ORDER = 6
 
 
@@ -50,14 +51,19 @@ def sixteen_points() -> tuple[Array, Array]:
 
 @cache
 def touching() -> tuple[Rule, Rule, Rule]:
-    """Rules (points of the first triangle (n, 3), of the second, weights (n,) of sum 1) for one vertex, one edge
-    or all three vertices in common; shared vertices come first, in the same order, in both triangles.
+    """Rules (points of the first triangle (n, 3), of the second, weights (n,)) for one vertex, one edge or all
+    three vertices in common; shared vertices come first, in the same order, in both triangles.
+
+    They are for kernels of the degrees -1, alone, and -2, with a function that is linear on either triangle. At the
+    share x of the way from the first vertex, with x^3 of the Jacobian, these are x times a linear function of x, of
+    which the integral is half of that function at 2/3.
     """
     nodes, weights = np.polynomial.legendre.leggauss(SINGULAR_ORDER)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
-    x, a, b, c = (part.ravel() for part in np.meshgrid(nodes, nodes, nodes, nodes, indexing="ij"))
-    cube = np.prod(np.meshgrid(weights, weights, weights, weights, indexing="ij"), axis=0).ravel()
-    one = np.ones_like(x)
+    a, b, c = (part.ravel() for part in np.meshgrid(nodes, nodes, nodes, indexing="ij"))
+    x = 2.0 / 3.0
+    cube = 0.5 / x * np.prod(np.meshgrid(weights, weights, weights, indexing="ij"), axis=0).ravel()
+    one = np.ones_like(a)
     vertex = [((one, a), (b, b * c), b)]
     vertex += [(second, first, share) for first, second, share in vertex]
     edge = [
