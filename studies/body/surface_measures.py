@@ -172,7 +172,7 @@ class Surface:
     triangles: Index
     contact: Mask = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,) nodes under contact
     contact_force: Array = field(default_factory=lambda: np.zeros((0, 3)))  # (N, 3) at load factor 1
-    weighs: bool = False  # whether the body has a weight, which displaces it at load factor 0 too
+    sags: bool = False  # whether a weight displaces it at load factor 0 too
 
     @cached_property
     def areas(self) -> Array:

@@ -110,7 +110,7 @@ def _not_at_rest(function: Function) -> Function:
     @wraps(function)
     def measure(surface: Surface, model: History, *reference: History) -> Array:
         factors = np.abs(model.load_factors)
-        rests = (factors <= _NO_LOAD * factors.max()) & (not surface.weighs)
+        rests = (factors <= _NO_LOAD * factors.max()) & (not surface.sags)
         return np.where(rests, np.nan, function(surface, model, *reference))
 
     return measure
@@ -275,7 +275,7 @@ def indentation_force_error(surface: Surface, model: History, reference: History
     factors = model.load_factors
     return np.array(
         [
-            _factor_at(goal, depth, factors, rests=not surface.weighs) / factor - 1 if factor else np.nan
+            _factor_at(goal, depth, factors, rests=not surface.sags) / factor - 1 if factor else np.nan
             for goal, factor in zip(goals, factors, strict=True)
         ]
     )

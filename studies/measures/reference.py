@@ -58,7 +58,7 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
     }
     margin = vector.gci / differences[0] if differences[0] else 0.0
     # a body with a weight is not at rest without load: what it does then is part of its stiffness
-    steps = [*(np.flatnonzero(load_factors == 0.0)[:1] if surface.weighs else []), step]
+    steps = [*(np.flatnonzero(load_factors == 0.0)[:1] if surface.sags else []), step]
     histories = [
         History(
             level.displacement[steps],

@@ -118,7 +118,7 @@ def _scanned(scene: Scene, n_loads: int, path: LoadPath | None) -> SetUp:
     _, sagged = rest_shape(scanned.points, sag)
     seconds = time.perf_counter() - start
     answer = _at_finite_strain(scene, problem, scanned, path)
-    return SetUp(lambda loads: from_scan(answer(loads), sagged[scene.mesh.surface_nodes], seconds))
+    return SetUp(lambda loads: from_scan(answer(loads), loads, sagged[scene.mesh.surface_nodes], seconds))
 
 
 def _finite_strain_onward(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
@@ -311,7 +311,7 @@ for _model in (
     ),
     _elements(
         name="fem",
-        version="7",
+        version="8",
         prepare=_finite_strain,
         memory=_finite,
         takes=_takes(_BOTH, DEAD) | {"law": _ONE, "indenter": _ONE, SCANNED: _ONE, FLUID: _ONE},

@@ -7,7 +7,7 @@ shape (Sellier, Journal of Fluids and Structures 27 (2011) 1461), with what form
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from solver_common.arrays import Array
 from solver_common.solution import Solution, SolverError, solver_error
 
 from ..scene.result import REST_DISTANCE
+from ..scene.scene import SurfaceLoad
 
 TOLERANCE = 1e-4  # of the largest sag, of what the sagged body misses of the measured shape
 _MOST = 40  # steps
@@ -65,15 +66,17 @@ def _no_rest_shape(why: str) -> SolverError:
     )
 
 
-def from_scan(solution: Solution, sag: Array, seconds: float) -> Solution:
+def from_scan(solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, seconds: float) -> Solution:
     """A solution from the rest shape as one from the scanned shape, which is (N, 3) `sag` [m] off it.
 
-    `seconds` [s] is what the set-up took with the search for the rest shape.
+    Where nothing but the weight acts that is zero, not what solvers leave open. `seconds` [s] is what the set-up
+    took with the search for the rest shape.
     """
     distance = float(np.linalg.norm(sag, axis=1).max())
+    acts = np.array([load.acts for load in loads])[:, None, None]
     return dataclasses.replace(
         solution,
-        displacement=solution.displacement - sag,
+        displacement=np.where(acts, solution.displacement - sag, 0.0 * solution.displacement),
         seconds_setup=seconds,
         scalars={**solution.scalars, REST_DISTANCE: np.full(len(solution.status), distance)},
     )

@@ -105,7 +105,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             number = solver().body.n_parts
             solution = found.solve([on_rest(load) for load in loads])
             if solver().body.n_parts <= number:
-                return from_scan(solution, sagged, seconds)
+                return from_scan(solution, loads, sagged, seconds)
             found, sagged = led_back(solver().body.n_parts)
 
     return SetUp(solve)

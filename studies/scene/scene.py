@@ -14,6 +14,7 @@ from solver_common.quadrature import facet_quadrature
 from ..body.mesh import Mesh, read_only
 from ..body.surface_measures import Surface, corner_sum, facet_area_vectors, facet_areas, nodal_sum
 from ..study.loads import Acts, Springs
+from ..study.registry import SCANNED
 from ..study.schema import Anisotropy, Study, Tissue, extras_of
 from .inclusions import PlacedInclusion, place_inclusions
 from .placed import PlacedConstraint, PlacedIndenter, place_indenter
@@ -63,9 +64,10 @@ class SurfaceLoad:
 
     @property
     def acts(self) -> bool:
-        """Whether anything presses, pulls, moves or weighs the body."""
-        given = self.facet_pressure, self.dead_force, self.prescribed, self.gravity
-        return self.depth != 0.0 or any(part.any() for part in given)
+        """Whether anything but its weight acts on the body."""
+        return self.depth != 0.0 or any(
+            part.any() for part in (self.facet_pressure, self.dead_force, self.prescribed)
+        )
 
 
 @dataclass(frozen=True)
@@ -179,6 +181,11 @@ class Scene:
         return replace(self, load_factors=np.array([factor]), gravity=factor * self.gravity)
 
     @property
+    def sags(self) -> bool:
+        """Whether a weight displaces it where nothing else acts: a scanned shape is where it has done so."""
+        return bool(self.gravity.any()) and SCANNED not in self.extras
+
+    @property
     def contact(self) -> Mask:
         """(N,) nodes that carry contact pressure."""
         return self.contact_pressure != 0.0
@@ -186,8 +193,9 @@ class Scene:
     @cached_property
     def surface(self) -> Surface:
         """The surface at rest, with its measures, under these loads."""
-        points, weighs = self.mesh.surface_points, bool(self.gravity.any())
-        return Surface(points, self.mesh.triangles, self.contact, self.contact_force, weighs)
+        return Surface(
+            self.mesh.surface_points, self.mesh.triangles, self.contact, self.contact_force, self.sags
+        )
 
 
 def build_scene(

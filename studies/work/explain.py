@@ -231,8 +231,9 @@ def _doubts(case: PlannedCase, scene: Scene) -> list[Finding]:
         small_strain=reference is not None and split(reference)[0] not in FINITE_STRAIN,
     )
     told = [(loc, _in_case(text, case)) for loc, text in found]
-    if not any(load.acts for load in scene.loads):
-        told.append((("constraints",), _in_case("nothing loads the body: every answer is zero", case)))
+    if not (scene.sags or any(load.acts for load in scene.loads)):
+        scan = " but the weight of its scan" if scene.gravity.any() else ""
+        told.append((("constraints",), _in_case(f"nothing{scan} loads the body: every answer is zero", case)))
     elif len(study.load.history) > 1 and not any(
         np.any(getattr(part, key) or 0.0) for part in study.constraints for key in part.loads
     ):

@@ -118,13 +118,11 @@ def test_a_part_that_the_reference_has_not_is_no_measure(surface: Surface, field
     assert np.isnan(evaluate(surface, model, reference)["reaction_force_error"]).all()
 
 
-@pytest.mark.parametrize("weighs", [False, True])
+@pytest.mark.parametrize("sags", [False, True])
 def test_a_body_without_load_has_nothing_to_measure_by(
-    surface: Surface, field: np.ndarray, *, weighs: bool
+    surface: Surface, field: np.ndarray, *, sags: bool
 ) -> None:
-    body = dataclasses.replace(
-        surface, weighs=weighs, contact_force=np.where(surface.contact[:, None], field, 0)
-    )
+    body = dataclasses.replace(surface, sags=sags, contact_force=np.where(surface.contact[:, None], field, 0))
     factors, reaction = [1.0, 1e-17, 0.0, 1e-6], np.stack([field] * 4)
     steps = [
         history(field, a * field, a * field, field, reaction=reaction, factors=factors) for a in (1e-9, 2e-9)
@@ -133,7 +131,7 @@ def test_a_body_without_load_has_nothing_to_measure_by(
     for name, metric in METRICS.items():
         relative = ("volume_drift_of_displaced", "relative_l2_deformation_error", "rigid_share")
         if metric.degree == 0 or name in relative:
-            rests = [False, not weighs, not weighs, False]
+            rests = [False, not sags, not sags, False]
             if name != "indentation_force_error":
                 assert np.isnan(values[name]).tolist() == rests, name
 
@@ -202,7 +200,7 @@ def test_indentation_force_of_a_body_with_a_weight(surface: Surface, factors: li
     """By hand: it sags by 0.5 without load, and needs f for a depth of 0.5 + f where the model has 0.3 + 2 f."""
     push = np.zeros((6, 3))
     push[4, 2] = -0.01
-    loaded = dataclasses.replace(surface, contact_force=20.0 * push, weighs=True)
+    loaded = dataclasses.replace(surface, contact_force=20.0 * push, sags=True)
     reference, soft = (
         history(*[(sag + size * factor) * push for factor in factors], factors=factors)
         for sag, size in ((0.5, 1.0), (0.3, 2.0))
@@ -226,7 +224,7 @@ def test_of_the_constant_loads_only_a_weight_moves_a_body(gravity: float, enviro
         }
     )
     scene = build_scene(study, build_mesh(study.geometry, volume=False))
-    assert scene.surface.weighs == (gravity != 0.0)
+    assert scene.surface.sags == (gravity != 0.0)
 
 
 def test_mean_strain_is_that_of_the_body(surface: Surface) -> None:

@@ -1,6 +1,7 @@
 """A body that was scanned under its weight: its rest shape is recovered, and loads start from the scan."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from solver_common.solution import Solution, SolverError
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.models.scanned import from_scan, rest_shape
-from vdmbench.scene.scene import Scene, build_scene
+from vdmbench.scene.scene import Scene, SurfaceLoad, build_scene
 from vdmbench.study.schema import Study
 
 WEIGHT = [0.0, 0.0, -9.81]
@@ -65,16 +66,18 @@ def _sagged(at_rest: Scene, name: str) -> Array:
 @pytest.mark.parametrize("name", ["fem", "bem:nonlinear"])
 def test_a_known_rest_shape_is_recovered_and_loads_start_from_the_scan(at_rest: Scene, name: str) -> None:
     straight, told = models.run_model(at_rest, name), list[Progress]()
+    scan = _scan(at_rest, _sagged(at_rest, name))
     with reported(told.append):
-        result = models.run_model(_scan(at_rest, _sagged(at_rest, name)), name)
+        result = models.run_model(scan, name)
     assert {at.share for at in told} == {1.0}
     assert told[-1].residual < 1e-6 < told[0].residual
     assert [status.code for status in result.status] == ["converged"] * 2, result.status
     sag = np.linalg.norm(straight.displacement[0], axis=1).max()
     assert sag > 0.002
     assert_allclose(result.scalars["rest_distance"], sag, rtol=1e-3, atol=0)
-    # both solve to 1e-8 of the forces or better
-    assert_allclose(result.displacement[0], 0.0, rtol=0, atol=1e-6 * sag)
+    assert not result.displacement[0].any()  # so that no error is taken of what solvers leave open
+    assert at_rest.surface.sags
+    assert not scan.surface.sags
     pushed = straight.displacement[1] - straight.displacement[0]
     assert np.abs(pushed).max() > 0.0005
     assert_allclose(result.displacement[1], pushed, rtol=0, atol=1e-3 * min(sag, np.abs(pushed).max()))
@@ -92,9 +95,9 @@ def test_a_body_in_parts_is_recovered_as_its_rest_shape_is_cut(monkeypatch: pyte
     straight, found = models.run_model(known, "bem:nonlinear"), list[Array]()
     assert straight.scalars["parts"] > 1
 
-    def watched(solution: Solution, sag: Array, seconds: float) -> Solution:
+    def watched(solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, seconds: float) -> Solution:
         found.append(sag)
-        return from_scan(solution, sag, seconds)
+        return from_scan(solution, loads, sag, seconds)
 
     monkeypatch.setattr("vdmbench.models.surface.from_scan", watched)
     scanned = Study.model_validate(organ | {"gravity": {"acceleration": WEIGHT, "scanned": True}})
@@ -106,7 +109,7 @@ def test_a_body_in_parts_is_recovered_as_its_rest_shape_is_cut(monkeypatch: pyte
 
 
 def test_a_load_that_asks_for_more_parts_than_the_weight_starts_from_the_scan_too() -> None:
-    """Cut for its weight alone the answer was 5 % off, and under no load the body was 1 mm off its scan."""
+    """Cut for its weight alone the answer was 5 % off."""
     organ = STUDY | {
         "geometry": {"shape": "organ", "size": 0.2, "mesh_size": 0.021},
         "tissue": {"youngs_modulus": 25000.0, "poisson_ratio": 0.49},
@@ -125,8 +128,6 @@ def test_a_load_that_asks_for_more_parts_than_the_weight_starts_from_the_scan_to
     scan = build_scene(scanned, dataclasses.replace(known.mesh, points=moved), known.regions)
     result = models.run_model(scan, "bem:nonlinear")
     pushed = straight.displacement[1] - straight.displacement[0]
-    sag = np.abs(straight.displacement[0]).max()
-    assert_allclose(result.displacement[0], 0.0, rtol=0, atol=1e-6 * sag)
     assert_allclose(result.displacement[1], pushed, rtol=0, atol=1e-3 * np.abs(pushed).max())
 
 

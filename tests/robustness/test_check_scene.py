@@ -48,6 +48,18 @@ CASES: dict[str, tuple[list[tuple[str, str]], int, str]] = {
         0,
         "small.toml:22: constraints: nothing loads the body: every answer is zero",
     ),
+    "the weight of a scan alone": (
+        [
+            (
+                '["vdm-paper", "fem-linear"]\nreference = "fem-linear"',
+                '["bem:nonlinear", "fem"]\nreference = "fem"',
+            ),
+            ('"0.1 N"', '"0 N"'),
+            ("[load]", "[gravity]\nacceleration = [0, 0, -9.81]\nscanned = true\n[load]"),
+        ],
+        0,
+        "small.toml:22: constraints: nothing but the weight of its scan loads the body: every answer is zero",
+    ),
     "steps of a weight alone": (
         [('"0.1 N"', '"0 N"'), ("[load]", "[gravity]\nacceleration = [0, 0, -9.81]\n[load]")],
         0,

@@ -140,7 +140,7 @@ def test_the_indentation_force_under_a_weight_has_a_bar_where_a_step_has_no_load
     scene: Scene, levels: list[ModelResult]
 ) -> None:
     """By hand: it sags by s without load, which a step without load tells, and is level h softer by 1 + h^2."""
-    surface = dataclasses.replace(scene.surface, weighs=True)
+    surface = dataclasses.replace(scene.surface, sags=True)
     coarse = levels[0]
     push = coarse.displacement[-1:]
 
