@@ -147,7 +147,8 @@ def reasons(digest: Digest, model: str) -> tuple[Reason, ...]:
     shortfall = Shortfall(digest, model)
     answers = np.isfinite(digest.shares(model)).any()
     found = tuple(reason for find in (CAUSES if answers else (no_answer,)) for reason in find(shortfall))
-    return found or ((Reason(NOT_TOLD),) if shortfall.broken else ())
+    more = {} if _refuses(LINEAR, digest) else {"elements": LINEAR}
+    return found or ((Reason(NOT_TOLD, about=more),) if shortfall.broken else ())
 
 
 def no_answer(shortfall: Shortfall) -> Iterator[Reason]:
@@ -296,9 +297,13 @@ def by_interaction(digest: Digest) -> tuple[Advice, ...]:
     surface = _answered(digest, filter(is_surface, digest.compared))
     elements = _answered(digest, digest.families[Family.ELEMENTS])
     moving = [_moving(digest, surface), _cutting(digest, surface)] if surface else []
-    refused = any(lacks(CONDENSED, extras_for(CONDENSED, case.study)) for case in digest.cases)
-    resting = [] if refused else [_resting(digest)]
+    resting = [] if _refuses(CONDENSED, digest) else [_resting(digest)]
     return (*resting, *moving, _exact(digest, surface, elements))
+
+
+def _refuses(name: str, digest: Digest) -> bool:
+    """Whether a model, of the study or not, does not take one of its scenes."""
+    return any(lacks(name, extras_for(name, case.study)) for case in digest.cases)
 
 
 def _resting(digest: Digest) -> Advice:
@@ -331,7 +336,7 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
     """Elements, or a surface model closer by more than the reference's error; where none serves, that."""
     if not elements:
-        return Advice(EXACT, "elements")
+        return Advice(EXACT, "reference alone" if _refuses(LINEAR, digest) else "elements")
     told = [name for name in elements if not digest.same_as_reference(name)]
     bars = [median_known(digest.bars(one.metric)) / one.allowed for one in digest.criteria if one.of_load]
     bar = max(filter(math.isfinite, bars), default=0.0)

@@ -12,14 +12,17 @@ from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR, History, evaluate
 from vdmbench.verdict.advice import (
     COMPRESSIBILITY,
+    EXACT,
     LEFT_OUT,
     MESH,
     MODEL,
     NO_ANSWER,
+    NOT_TOLD,
     REFERENCE,
     SMALL_STRAIN,
     TIME,
     Reason,
+    by_interaction,
     reasons,
 )
 from vdmbench.verdict.digest import Digest
@@ -229,6 +232,16 @@ def test_the_references_bar_is_told_where_it_decides() -> None:
     }
     beyond = make_case({"vdm-vector": 0.2}, reference_error=OFF_BY, subdivisions=0)
     assert REFERENCE not in causes(make_run([beyond]))
+
+
+def test_linear_elements_are_not_advised_where_they_do_not_take_the_scene() -> None:
+    far = growing({"bem:nonlinear": (0.3,) * 3}, steps=(0.8, 0.9, 1.0))
+    scanned = asked(far, gravity={"acceleration": [0.0, 0.0, -9.81], "scanned": True})
+    for case, linear in ((far, True), (scanned, False)):
+        run = make_run([case])
+        assert ("fem-linear" in told(run, "bem:nonlinear")[NOT_TOLD]) is linear
+        (exact,) = (advice for advice in by_interaction(Digest(run)) if advice.interaction == EXACT)
+        assert ("fem-linear" in " ".join(said("take", exact))) is linear
 
 
 def test_a_frame_that_takes_too_long_is_told() -> None:
