@@ -16,7 +16,7 @@ from solver_common.jit import compiled
 from solver_common.quadrature import facet_quadrature
 from vdm.boundary.far import far_row
 from vdm.boundary.plane import add_near, graded
-from vdm.boundary.quadrature import Rule, sixteen_points, three_points, touching
+from vdm.boundary.quadrature import Rule, sixteen_points, touching
 
 # distance of two facets' centres over the sum of their radii, from which a product of two rules is enough
 FAR, MIDDLE, NEAR = 4.0, 2.0, 1.15
@@ -30,16 +30,16 @@ COUNT = 12
 
 
 def rules() -> tuple[Array, Index, Array, Array, Array, Array]:
-    """All rules as one table (5, n) of two coordinates of x, two of y and the weight, and each rule's start (7,).
+    """All rules as one table (5, n) of two coordinates of x, two of y and the weight, and each rule's start (6,).
 
     Last the points and weights beside which one of two near facets is in closed form: those of
     `vdm.boundary.plane.graded` where they touch or are close, else 16 even ones.
 
-    In the order: one vertex, one edge, the same facet, then far, middle and near facets that do not touch.
+    In the order: one vertex, one edge, the same facet, then middle and near facets that do not touch.
     """
     parts = [
         *touching(),
-        *(_product(*rule) for rule in (three_points(), facet_quadrature(), sixteen_points())),
+        *(_product(*rule) for rule in (facet_quadrature(), sixteen_points())),
     ]
     table = np.concatenate([np.stack([*x.T[1:], *y.T[1:], w]) for x, y, w in parts], axis=1)
     starts = np.cumsum([0, *(len(part[2]) for part in parts)])
@@ -157,24 +157,18 @@ def _shared_first(t, v, p, q, i, j):
 
 
 @compiled
-def integrate_pair(mesh, f, g, rules, space):
-    """The twelve integrals of facets f and g over the product of their areas, in the last part of `space`.
+def integrate_near(mesh, f, g, ratio, rules, space):
+    """Add the twelve integrals of near facets f and g over the product of their areas to the last part of `space`.
 
     `mesh` is the corners (F, 3, 3), triangles, normals, areas, centres (F, 3), radii (F,) and how slender they are
-    (F,); `rules` what the function of that name gives.
+    (F,); `ratio` the distance of their centres over the sum of their radii; `rules` what the function of that name
+    gives.
     """
-    corners, triangles, normals, areas, centres, radii, slender = mesh
+    corners, triangles, normals, areas, _, _, slender = mesh
     table, starts, graded_points, graded_weights, even_points, even_weights = rules
     i, j, both, total = space
-    total[:] = 0.0
-    ratio = np.sqrt(_square(centres[f], centres[g])) / (radii[f] + radii[g])
-    shared = 0 if ratio > NEAR else _shared_first(triangles[f], triangles[g], corners[f], corners[g], i, j)
-    if ratio > NEAR:
-        for a in range(3):
-            i[a] = j[a] = a
-        k = 3 if ratio > FAR else (4 if ratio > MIDDLE else 5)
-        add_rule(table, starts[k], starts[k + 1], corners, normals, f, g, i, j, total)
-    elif shared and max(slender[f], slender[g]) < SLENDER:
+    shared = _shared_first(triangles[f], triangles[g], corners[f], corners[g], i, j)
+    if shared and max(slender[f], slender[g]) < SLENDER:
         add_rule(table, starts[shared - 1], starts[shared], corners, normals, f, g, i, j, total)
     else:
         p, q, m, n = corners[f], corners[g], normals[f], normals[g]
@@ -189,7 +183,7 @@ def integrate_pair(mesh, f, g, rules, space):
 
 @compiled
 def _space():
-    """Work space of `integrate_pair`: corners of either facet, their areas, the integrals."""
+    """Work space of `integrate_near`: corners of either facet, their areas, the integrals."""
     return np.empty(3, np.int64), np.empty(3, np.int64), np.empty(2), np.empty(COUNT)
 
 
@@ -203,11 +197,13 @@ def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, dou
     each corner, with the `curls` c (F, 3, 3). tr(B) (F, F) is below the diagonal; Laplace's K is (F, N). `points`
     (3, 3, F) are those of `vdm.boundary.far`.
     """
-    _, triangles, normals, areas, centres, radii, _ = mesh
+    corners, triangles, normals, areas, centres, radii, _ = mesh
+    table, starts = rules[0], rules[1]
     of_identity, of_kelvin = factors
     across = np.ascontiguousarray(normals.T)
     totals = np.zeros((COUNT, len(triangles)))
-    space = _space()
+    space, as_they_are = _space(), np.arange(3)
+    total = space[-1]
     # a row of facets, and what it is for tractions and forms
     row = np.zeros((len(triangles), 6), sums[0].dtype)
     pushed = np.zeros((sums[1].shape[0], 3), sums[0].dtype)
@@ -220,10 +216,20 @@ def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, dou
         for g in range(f + 1):
             # without a view of a row, which takes longer than all else here
             a, b, c = centres[g, 0] - x, centres[g, 1] - y, centres[g, 2] - z
-            reach = FAR * (radii[f] + radii[g])
-            if a * a + b * b + c * c <= reach * reach:
-                integrate_pair(mesh, f, g, rules, space)
-                totals[:, g] = space[-1]
+            square, reach = a * a + b * b + c * c, radii[f] + radii[g]
+            if square > (FAR * reach) ** 2:
+                continue
+            ratio = np.sqrt(square) / reach
+            total[:] = 0.0
+            if ratio > NEAR:  # here: a call that hands on all rules takes longer than the sum
+                k = 3 if ratio > MIDDLE else 4
+                add_rule(
+                    table, starts[k], starts[k + 1], corners, normals, f, g, as_they_are, as_they_are, total
+                )
+            else:
+                integrate_near(mesh, f, g, ratio, rules, space)
+            for k in range(COUNT):
+                totals[k, g] = total[k]
         for g in range(f + 1):
             both = areas[f] * areas[g]
             trace = both * (totals[0, g] + totals[1, g] + totals[2, g])
