@@ -192,10 +192,8 @@ def _loops(triangles: Index, labels: Mask, n: int) -> tuple[list[Index], Mask]:
     """Border of the labels (F,), smoothed, as loops of nodes that run as the facets labelled False see them."""
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     facet = np.repeat(np.arange(len(triangles)), 3)
-    forward = np.lexsort((end, start))
-    backward = np.lexsort((start, end))
     neighbour = np.empty(len(start), np.int64)
-    neighbour[forward] = facet[backward]
+    neighbour[np.argsort(start * n + end)] = facet[np.argsort(end * n + start)]
     around = neighbour.reshape(-1, 3)
     labels = labels.copy()
     for _ in range(SWEEPS):

@@ -17,13 +17,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
 from solver_common.arrays import Array, Mask
 from vdm.boundary.rims import Rims
 from vdm.formulations.base import Factor, Factorise
 from vdm.parts.part import Part, dofs
-from vdm.peers.bem import DENSE, BoundaryFormulation
+from vdm.peers.bem import DENSE, BoundaryFormulation, DenseFactor
 from vdm.solution import SolverError
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
@@ -71,10 +71,10 @@ class JoinedFormulation(BoundaryFormulation):
             give = np.zeros(self._apart.shape[2])
             give[: len(parts)] = [part.swelling.give for part in parts]
             self._give = np.diag(give)
-        pressed = self._apart[n_surface:].reshape(len(own), -1)
-        self._caps = linalg.lu_factor(
-            np.block([[own, -pressed], [pressed.T, self._give]]), check_finite=False
-        )
+        self._caps = DenseFactor(own, few=True)
+        self._pressed = np.asfortranarray(self._apart[n_surface:].reshape(len(own), -1))
+        self._moved = self._caps.solve(self._pressed)
+        self._schur = self._give + self._pressed.T @ self._moved
 
     def _assemble(self, held: Mask) -> None:
         self._rims = Rims.of(self.surface, held)  # of none: the parts have theirs
@@ -118,10 +118,9 @@ class JoinedFormulation(BoundaryFormulation):
         `swells` (p, k) is by how much parts swell apart, which they do not then, or as `give` lets them.
         """
         n, k = self.surface.n_nodes, force.shape[2]
-        right = np.vstack([force[n:].reshape(-1, k), swells])
-        caps, pressures = np.split(
-            linalg.lu_solve(self._caps, -right, check_finite=False), [3 * self._n_caps]
-        )
+        caps = self._caps.solve(np.asfortranarray(-force[n:].reshape(-1, k)))
+        pressures = np.linalg.solve(self._schur, -swells - self._pressed.T @ caps)
+        caps += self._moved @ pressures
         moved = np.concatenate([np.zeros((n, 3, k)), caps.reshape(-1, 3, k)])
         return np.asarray((force + self._of_parts(moved))[:n] - self._apart[:n] @ pressures)
 

@@ -75,8 +75,10 @@ def condensed(
     if shared.any():
         coupling = form.swollen_block(i, c)
         follows = np.asarray(solver.solve(np.asfortranarray(coupling)))
-        carried = form.swollen_block(c, c) - coupling.T @ follows
-        carried = 0.5 * (carried + carried.T)
+        carried = form.swollen_block(c, c)
+        carried -= coupling.T @ follows
+        carried += carried.T
+        carried *= 0.5
     areas = form.surface.nodal_areas / form.surface.area
     body = DeformableSurface(form.surface)
     return Part(nodes, form, body, inner, shared, places, owns, walls, areas, solver, follows, carried)

@@ -273,7 +273,9 @@ class BoundaryFormulation(DisplacementFormulation):
     def swollen_block(self, rows: Index, columns: Index) -> Array:
         """The block of S and its swelling of some unknowns."""
         block: Array = self.matrix[np.ix_(rows, columns)]
-        return block if self.swelling is None else block + self.swelling.block(rows, columns)
+        if self.swelling is not None:
+            block += self.swelling.block(rows, columns)
+        return block
 
     def unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
         """The best-fit rotation Q of the nodes and the displacement left after it is undone."""
