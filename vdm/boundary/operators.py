@@ -269,6 +269,5 @@ def _stiffen(single: Array, facets: Facets) -> None:
 
 def _gathered(facets: Facets, values: Array) -> sparse.csr_array:
     """(F, N) matrix of values (F, 3) at the corners of the facets."""
-    rows = np.repeat(np.arange(len(facets.triangles)), 3)
-    shape = (len(facets.triangles), len(facets.points))
-    return sparse.csr_array(sparse.coo_array((values.ravel(), (rows, facets.triangles.ravel())), shape=shape))
+    shape, ends = (len(facets.triangles), len(facets.points)), np.arange(0, facets.triangles.size + 1, 3)
+    return sparse.csr_array((values.ravel(), facets.triangles.ravel(), ends), shape=shape)

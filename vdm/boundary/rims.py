@@ -131,10 +131,9 @@ def _without(vectors: Array, basis: Array) -> Array:
 def on_edges(ends: Index, n: int) -> sparse.csr_array:
     """(n + k, n) that keeps n nodes, and puts k further ones on the edges (k, 2) that they cut."""
     k = len(ends)
-    places = sparse.csr_array(
-        (np.tile([1.0 - PLACE, PLACE], k), ends.reshape(-1), np.arange(0, 2 * k + 1, 2)), shape=(k, n)
-    )
-    return sparse.csr_array(sparse.vstack([sparse.eye_array(n), places]))
+    data = np.concatenate([np.ones(n), np.tile([1.0 - PLACE, PLACE], k)])
+    rows = np.concatenate([np.arange(n), np.arange(n, n + 2 * k + 1, 2)])
+    return sparse.csr_array((data, np.concatenate([np.arange(n), ends.reshape(-1)]), rows), shape=(n + k, n))
 
 
 def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Array, list[Index], Index]:
