@@ -181,18 +181,32 @@ class Newton:
     def follow(self, state: State, start: ScaledLoad, end: ScaledLoad) -> Iterator[Substep]:
         """Go from one load to another in substeps as long as convergence allows.
 
-        Every attempt is yielded; the last one either reaches load factor one or has failed.
+        Every attempt is yielded; the last one either reaches load factor one or has failed. Where a substep
+        heads for J = 0 short of a load at which an element turned inside out, that attempt is yielded again. One
+        from the start does not count: it fails at loads that are reached in shorter substeps.
         """
-        substeps = Substeps()
+        substeps, wall = Substeps(), None
         while substeps.reached < 1.0:
-            target = substeps.target
-            attempt = self.solve(state, start.towards(end, target), target, substeps.reached)
+            reached, target = substeps.reached, substeps.target
+            attempt = self.solve(state, start.towards(end, target), target, reached)
             yield attempt
             if attempt.converged:
-                state = attempt.state
                 substeps.found(len(attempt.residuals) - 1 <= _EASY)
+                before, state = state, attempt.state
+                if wall and target < wall.load_factor:
+                    ahead = (wall.load_factor - target) / (target - reached)
+                    if self._turns_inside_out(before, state, ahead):
+                        yield replace(wall, state=state, residuals=wall.residuals[-1:])
+                        return
             elif attempt.code == "too-small" or not substeps.failed() or self._is_unstable(attempt):
                 return
+            elif attempt.code == "inverted" and reached > 0.0:
+                wall = attempt
+
+    def _turns_inside_out(self, before: State, state: State, ahead: float) -> bool:
+        """Whether the least volume ratio J is gone after `ahead` more steps as that between two states."""
+        old, new = (self.assembly.least_volume_ratio(one.displacement)[0] for one in (before, state))
+        return new <= ahead * (old - new)
 
     def _is_unstable(self, failed: Substep) -> bool:
         """Whether the surface or the tangent before a failed substep is unstable: shorter ones do not help."""

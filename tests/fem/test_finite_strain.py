@@ -391,6 +391,27 @@ def test_a_rim_that_creases_is_named_and_ends_the_way_soon() -> None:
     assert solution.scalars["load_factor"][0] == last.load_factor, "the state up to there is kept"
 
 
+def test_substeps_that_head_for_an_element_inside_out_before_a_load_that_did_are_the_last() -> None:
+    """They would go on halving the way there, ever nearer to a tetrahedron without volume."""
+    body = mapped_box((4, 2, 2), lambda x: x)
+    problem = body.finite(body.bottom, **HEAVY)
+    *before, last = [a for _, a in problem.substeps([body.load(gravity=(0.0, 0.0, -1.5))])]
+    failed = [(one.load_factor, one.code) for one in before if not one.converged]
+    assert (last.load_factor, last.code) in failed, "no load is new"
+    assert before[-1].converged
+    assert last.state is before[-1].state, "the state up to there is kept"
+
+
+def test_an_element_inside_out_from_rest_does_not_end_a_way_that_goes_on() -> None:
+    """At half of this weight the least J falls on as if it were gone before all of it, which failed at once."""
+    body = mapped_box((2, 2, 4), lambda x: x)
+    problem = body.finite(body.bottom, poisson_ratio=0.45, density=1.0)
+    first, *_, last = [a for _, a in problem.substeps([body.load(gravity=(0.0, 0.0, -2.0))])]
+    assert first.code == "inverted"
+    assert last.converged
+    assert last.load_factor == 1.0
+
+
 @pytest.mark.parametrize(("sides", "at_the_rim"), [((2, 2, 2), False), ((4, 2, 2), True)])
 def test_what_creases_at_the_rim_of_what_is_held_is_said_to_be_there(
     sides: tuple[int, int, int], at_the_rim: bool
