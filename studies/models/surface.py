@@ -73,19 +73,22 @@ def _scanned(scene: Scene, name: str) -> SetUp:
 
     points = measured
 
-    def led_back(needed: int) -> tuple[SetUp, Array]:
-        """The body at rest, in so many parts at least, and its sag, which may ask for twice as many."""
+    def led_back(least: int) -> tuple[SetUp, Array]:
+        """The body at rest, and its sag, in so many parts at least and in as many as it asks for where it sags."""
         nonlocal points, seconds
-        began, number = time.perf_counter(), 0
-        while needed > number:
+        began, number, needed = time.perf_counter(), -1, least
+        while needed != number:
             search.begin(needed)
             points, _ = rest_shape(measured, sag, points)
-            number = solver().least = solver().body.n_parts
+            number, solver().least = solver().body.n_parts, least
             found = _set_up(model, springs, scene)
             weighed = found.solve([rest.load(0.0)])
             if not weighed.status[0].ok:
                 raise SolverError(weighed.status[0])
             needed = solver().body.n_parts
+            if needed > number:  # never fewer again
+                least = needed
+        solver().least = number
         seconds += time.perf_counter() - began
         return found, np.asarray(weighed.displacement[0])
 
@@ -96,7 +99,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             load, contact_pressure=own.contact_pressure, contact_force=own.contact_force
         )
 
-    found, sagged = led_back(1)
+    found, sagged = led_back(0)
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
         """Of the parts that the loads need, by the rest shape that sags in as many."""
@@ -334,7 +337,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="36",
+        version="37",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
@@ -345,7 +348,7 @@ for _registered in (
     _surface(
         name="bem-sparse",
         family=Family.PEERS,
-        version="22",
+        version="23",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility", "parts"),

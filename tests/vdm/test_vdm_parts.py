@@ -81,8 +81,8 @@ def test_no_cap_cuts_through_a_cavity_smaller_than_its_facets() -> None:
     (x, outer), (y, inner) = icosphere(2), icosphere(0)
     points = x * [1.6, 1.0, 0.9]
     plain = cut(points, outer, 2)
-    facets = plain.parts[0][(plain.parts[0] >= len(x)).any(axis=1)]  # of its cap
-    for a, b, c in plain.points[facets[::17]]:
+    facets = plain.parts[0][(plain.parts[0] >= len(x)).all(axis=1)]  # of its cap, inside
+    for a, b, c in plain.points[facets[::9]]:
         normal = np.cross(b - a, c - a)
         middle = 0.5 * a + 0.35 * b + 0.15 * c - 0.029 * normal / np.linalg.norm(normal)
         hollow = np.vstack([points, middle + 0.03 * y])
@@ -154,7 +154,7 @@ def bent(model: Model, parts: int) -> tuple[Parts, Array]:
     moved = np.zeros_like(x)
     moved[:, 0] = (1.0 / k - up) * np.sin(k * along) - along
     moved[:, 2] = 1.0 / k - (1.0 / k - up) * np.cos(k * along) - up
-    noise = np.random.default_rng(0).standard_normal(x.shape)
+    noise = np.random.default_rng(2).standard_normal(x.shape)
     return body, np.where(body.free[:, None], moved + 1e-3 * SIDE * noise, 0.0)
 
 
@@ -187,10 +187,16 @@ def test_forces_are_the_derivative_of_the_energy_and_balance(ratio: float) -> No
 
 
 @pytest.mark.parametrize(
-    ("gravity", "ratio"), [((0.0, 0.0, 0.0), 0.5), ((0.0, -1.0, -9.0), 0.5), ((0.0, -0.1, -0.9), 0.45)]
+    ("gravity", "ratio", "apart"),
+    [((0.0, 0.0, 0.0), 0.5, 0.05), ((0.0, -1.0, -9.0), 0.5, 0.2), ((0.0, -0.1, -0.9), 0.45, 0.05)],
 )
-def test_a_correction_has_the_slope_of_the_state(gravity: tuple[float, float, float], ratio: float) -> None:
-    """What it supplies is what was lacking but for terms of the order of the strain, 5 %, in a body bent far."""
+def test_a_correction_has_the_slope_of_the_state(
+    gravity: tuple[float, float, float], ratio: float, apart: float
+) -> None:
+    """What it supplies is what was lacking but for terms of the order of the strain, in a body bent far.
+
+    By 5 % of what was lacking; under a weight that moves it by six of its sides those terms are larger.
+    """
     body, x = bent(clamped(BAR, density=1000.0, gravity=gravity, poisson_ratio=ratio), 4)
     load, pressure = Load(np.zeros(len(BAR[0]))), np.full(body.n_pressures, 400.0)
     state = body.balance(load, x, pressure)
@@ -199,7 +205,7 @@ def test_a_correction_has_the_slope_of_the_state(gravity: tuple[float, float, fl
     way[body.free] = change
     ahead, behind = (body.balance(load, x + s * way, pressure + s * pushed) for s in (1e-5, -1e-5))
     supplied, lacking = (ahead.lacking - behind.lacking)[body.free] / 2e-5, state.lacking[body.free]
-    assert np.linalg.norm(supplied + lacking) < 0.1 * np.linalg.norm(lacking)
+    assert np.linalg.norm(supplied + lacking) < apart * np.linalg.norm(lacking)
     # where a part turns, what quadrature leaves of a uniform pressure turns with it
     left = (1e-6 if ratio == 0.5 else 1e-4) * np.abs(state.gap).max()
     assert_allclose((ahead.gap - behind.gap) / 2e-5, -state.gap, rtol=0.0, atol=left)

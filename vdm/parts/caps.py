@@ -39,7 +39,8 @@ def cap(points: Array, loops: list[Index], normal: Array, *, is_rough: bool = Fa
         loops that cross themselves or each other, seen along the normal, that run both ways round, or that leave no
         room for a node between them.
     """
-    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    # across the first loop: an axis of space would have a tie with another
+    first = np.cross(normal, points[loops[0][len(loops[0]) // 2]] - points[loops[0][0]])
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(normal, first)], axis=1)
     nodes = np.concatenate(loops)
@@ -78,6 +79,7 @@ def _filled(border: Array, edges: Index, size: float, smoothings: int) -> tuple[
     wide = np.abs(_area(*flat[triangles].transpose(1, 0, 2))) > FLAT * size**2
     triangles = triangles[wide & _inside(flat[triangles].mean(axis=1), border, edges)]
     triangles = _against(triangles, edges)
+    triangles = triangles[np.lexsort(np.sort(triangles, axis=1).T)]
     used = np.unique(triangles)
     if len(used) != len(flat):  # a node beside the loops' filled side
         raise CutError("loops of the cut cannot be paired")
@@ -88,11 +90,9 @@ def _lattice(border: Array, edges: Index, size: float) -> Array:
     """(k, 2) points of a lattice of equal triangles inside the loops and clear of them."""
     low, high = border.min(axis=0), border.max(axis=0)
     rise = size * np.sqrt(0.75)
-    counts = np.ceil((high - low) / [size, rise]).astype(int) + 2
-    i, j = np.meshgrid(np.arange(counts[0]), np.arange(counts[1]), indexing="ij")
-    grid = np.stack([(i + 0.5 * (j % 2)) * size, j * rise], axis=-1).reshape(-1, 2)
-    middle = 0.5 * (low + high) - 0.5 * np.ptp(grid, axis=0)
-    grid = grid + middle
+    reach = np.ceil(0.5 * (high - low) / [size, rise]).astype(int) + 1
+    i, j = np.meshgrid(*(np.arange(-k, k + 1) for k in reach), indexing="ij")
+    grid = np.stack([(i + 0.5 * (j % 2)) * size, j * rise], axis=-1).reshape(-1, 2) + 0.5 * (low + high)
     return grid[_clear(grid, border, edges, CLEAR * size)]
 
 

@@ -104,14 +104,17 @@ def _halved(points: Array, triangles: Index, apart: Mask | None, is_rough: bool)
     arms = centres - areas @ centres / areas.sum()
     normal = np.linalg.eigh((arms * areas[:, None]).T @ arms)[1][:, 2]
     places = arms @ normal
-    order = np.argsort(places, kind="stable")
-    share = np.cumsum(areas[order]) / areas.sum()
+    # rounding decides neither which side comes first nor which facets the plane meets: it goes where none are near
+    places, normal = (places, normal) if places[0] < 0.0 else (-places, -normal)
+    order = np.argsort(places)
+    share = (np.cumsum(areas[order]) - 0.5 * areas[order]) / areas.sum()
+    gaps, between = np.diff(places[order]), 0.5 * (places[order][1:] + places[order][:-1])
     near, refused = list[tuple[int, list[Index], Mask]](), list[CutError]()
 
     def borders() -> Iterator[tuple[list[Index], Mask]]:
         """Those that keep away come first, the furthest of the others next."""
         for shift in SHIFTS:
-            plane = places[order][np.searchsorted(share, 0.5 + shift)]
+            plane = between[np.argmax(gaps - np.abs(between - np.interp(0.5 + shift, share, places[order])))]
             try:
                 loops, labels = _loops(triangles, places > plane, len(points))
             except CutError as error:

@@ -35,13 +35,13 @@ class PartsSolver:
     Parameters
     ----------
     problem : of boundary elements
-    cut : into the parts that it has; None: it is cut as its loads need
+    cut : that it has in as many parts; None: it is cut anew
     """
 
     def __init__(self, problem: Problem, cut: Cut | None = None) -> None:
         self._whole, self._cut = problem, cut
         self._solvers: dict[int, NonlinearSolver] = {}
-        self._given = problem.formulation.parameters.parts if cut is None else len(cut.parts)
+        self._given = problem.formulation.parameters.parts
         self.least = 1  # parts that former loads asked for
         self._finer: NonlinearSolver | None = None
         self._finer_step: Step | None = None
@@ -70,17 +70,17 @@ class PartsSolver:
         """Of that problem."""
         return self.solver.factor
 
-    def prepare(self, loads: Sequence[Load], compared: bool = True) -> float:
-        """Cut the body as its loads need; the seconds that this took.
+    def prepare(self, loads: Sequence[Load], compared: bool = True, count: int = 0) -> float:
+        """Cut the body into `count` parts, or if 0 as its loads need; the seconds that this took.
 
         A guess, by a coarse body, saves the whole one where it is not needed; a linear answer of the parts
         themselves decides. Unless answers are `compared`, none has twice the parts.
         """
         start = time.perf_counter()
         load = self._unturned(self._largest(loads))
-        if self._given:
-            self._solver = self._of(self._given)
-            self.body.wanted = self._given
+        if given := self._given or count:
+            self._solver = self._of(given)
+            self.body.wanted = given
         else:
 
             def wanted(linear: LinearSolver) -> int:
@@ -232,7 +232,8 @@ class PartsSolver:
 
     def _of(self, count: int) -> NonlinearSolver:
         if count not in self._solvers:
-            body = Parts(self._whole, count, self._cut if count == self._given else None)
+            is_cut = self._cut is not None and len(self._cut.parts) == count
+            body = Parts(self._whole, count, self._cut if is_cut else None)
             self._solvers[count] = NonlinearSolver(body.problem, body, body.factor)
         return self._solvers[count]
 

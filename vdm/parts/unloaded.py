@@ -205,13 +205,13 @@ class Unloading:
 
     def __init__(self, seen: Array, load: Load) -> None:
         self._seen, self._load = seen, load
-        self._least, self._steps = 1, (np.inf, np.inf)
         self._balance: Balance | None = None
-        self._kept: Cut | None = None
+        self.begin(0)
 
-    def begin(self, least: int) -> None:
-        """Go on with this many parts at least."""
-        self._least, self._steps = least, (np.inf, np.inf)
+    def begin(self, count: int) -> None:
+        """Go on in this many parts, or if none in as many as the next body needs."""
+        self._count, self._steps = count, (np.inf, np.inf)
+        self._kept: Cut | None = None
 
     def cut(self, points: Array) -> Cut | None:
         """Of surface nodes (N, 3): none, they are cut anew, until a step was no shorter than the last but one.
@@ -223,7 +223,7 @@ class Unloading:
         return replace(self._kept, points=np.vstack([points, self._kept.points[len(points) :]]))
 
     def rest(self, solver: PartsSolver) -> Array:
-        """(N, 3) surface nodes at rest [m], by the stiffnesses of a solver's body, which is cut as its load needs.
+        """(N, 3) surface nodes at rest [m], by the stiffnesses of a solver's body in the parts begun with.
 
         The first body is the one that is seen, any other near its rest: its nodes inside are seen where it sags.
 
@@ -232,9 +232,9 @@ class Unloading:
         SolverError
             where no balance is found; it names the share of the load that was undone.
         """
-        solver.least = self._least
-        solver.prepare([self._load], compared=False)
+        solver.prepare([self._load], compared=False, count=self._count)
         body, n = solver.body, len(self._seen)
+        self._count = body.n_parts
         seen = points = body.cut.points
         back = NonlinearSolver(solver.problem, Unloaded(body, seen), solver.factor)
         if self._balance is not None:
