@@ -15,7 +15,8 @@ from ..body.surface_measures import Surface, facet_area_vectors
 from ..scene.regions import select
 from ..scene.result import ModelResult
 from ..study.loads import Constraint
-from ..study.schema import Study
+from ..study.registry import SCANNED
+from ..study.schema import Study, extras_of
 
 _BEYOND = 1e-9  # of the largest depth: as far beyond it is rounding
 
@@ -55,6 +56,10 @@ class Pushed:
     ----------
     mask : (N,) nodes of its region on the undeformed `surface`
     factors : (S,) load factors of the steps
+
+    Attributes
+    ----------
+    rests : whether it has neither depth nor force without load
     """
 
     def __init__(
@@ -62,7 +67,9 @@ class Pushed:
     ) -> None:
         self.constraint, self._mask, self._surface = constraint, mask, surface
         self._factors = factors
-        self._rests = study.gravity is None or not any(study.gravity.acceleration)
+        # without load a scanned body is where its scan is, but its weight hangs on what is moved too
+        scanned = SCANNED in extras_of(study) and constraint.kind != "constrained"
+        self.rests = scanned or study.gravity is None or not any(study.gravity.acceleration)
         # a pressure's resultant hangs on the mesh, and is none of a pressure from all sides
         self.unit = "Pa" if constraint.kind == "contact" and constraint.force is None else "N"
 
@@ -110,7 +117,7 @@ class Pushed:
             forces = forces * float(np.linalg.norm(vectors.sum(axis=0)))
         solved = np.cumprod(np.isfinite(depths) & np.isfinite(forces)).astype(bool)  # up to where it stopped
         depths, forces = depths[solved], forces[solved]
-        if self._rests:
+        if self.rests:
             depths, forces = np.append(depths, 0.0), np.append(forces, 0.0)
         depths, first = np.unique(depths, return_index=True)
         forces = forces[first]

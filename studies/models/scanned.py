@@ -69,14 +69,14 @@ def _no_rest_shape(why: str) -> SolverError:
 def from_scan(solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, seconds: float) -> Solution:
     """A solution from the rest shape as one from the scanned shape, which is (N, 3) `sag` [m] off it.
 
-    Where nothing but the weight acts that is zero, not what solvers leave open. `seconds` [s] is what the set-up
-    took with the search for the rest shape.
+    Where nothing but the weight acts that is zero, not what solvers leave open, unless the step failed.
+    `seconds` [s] is what the set-up took with the search for the rest shape.
     """
     distance = float(np.linalg.norm(sag, axis=1).max())
-    acts = np.array([load.acts for load in loads])[:, None, None]
+    rests = [status.ok and not load.acts for status, load in zip(solution.status, loads, strict=True)]
     return dataclasses.replace(
         solution,
-        displacement=np.where(acts, solution.displacement - sag, 0.0 * solution.displacement),
+        displacement=np.where(np.array(rests)[:, None, None], 0.0, solution.displacement - sag),
         seconds_setup=seconds,
         scalars={**solution.scalars, REST_DISTANCE: np.full(len(solution.status), distance)},
     )

@@ -219,7 +219,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
         return None
     title = f"{digest.case_name(case)}{f' ({role})' if role else ''}"
     figures: list[Figure] = []
-    kinds: dict[str, None] = {}
+    shown: list[Pushed] = []
     for pushed in pushes(case, digest.surfaces[case.hash]):
         curves = {
             name: np.array(pushed.curve(Answer.of(case.models[name])))
@@ -230,15 +230,12 @@ def force_against_indentation(digest: Digest) -> Section | None:
         if known := {name: curve for name, curve in known.items() if curve.size}:
             place = ", ".join(filter(None, [pushed.constraint.name, title]))
             figures.append(_force_chart(digest, case, pushed, known, place, f"f{len(figures)}"))
-            kinds[pushed.constraint.kind] = None
+            shown.append(pushed)
     if not figures:
         return None
-    weighs = case.study.gravity is not None and any(case.study.gravity.acceleration)
-    return Section(
-        "force",
-        "Force against indentation",
-        [note("force", list(kinds), weighs), Figures(figures)],
-    )
+    kinds = list(dict.fromkeys(pushed.constraint.kind for pushed in shown))
+    weighs = not all(pushed.rests for pushed in shown)
+    return Section("force", "Force against indentation", [note("force", kinds, weighs), Figures(figures)])
 
 
 def _force_chart(

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from fem_reference.finite_strain import FiniteStrainProblem
 from solver_common.arrays import Array
 from solver_common.progress import Progress, reported
-from solver_common.solution import Solution, SolverError
+from solver_common.solution import Solution, SolverError, Status
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.models.scanned import from_scan, rest_shape
@@ -62,6 +62,18 @@ def _sagged(at_rest: Scene, name: str) -> Array:
         return moved + problem.sag(WEIGHT).displacement[0][: len(moved)]
     moved[mesh.surface_nodes] += models.run_model(at_rest, name).displacement[0]
     return moved
+
+
+def test_a_step_that_failed_on_the_way_to_the_scan_is_not_there(at_rest: Scene) -> None:
+    """It holds the last state on the way, back from a load."""
+    scan = _scan(at_rest, at_rest.mesh.points)
+    sag = np.full((len(at_rest.fixed), 3), 0.25)
+    kept = np.ones((2, *sag.shape))
+    nothing = np.zeros(2)
+    codes = (Status("inverted"), Status("converged"))
+    solution = Solution(kept, nothing, kept, nothing, nothing.astype(int), codes, 0.0, nothing)
+    found = from_scan(solution, [scan.load(0.0)] * 2, sag, 0.0)
+    assert_array_equal(found.displacement, [0.75 * kept[0], 0.0 * kept[1]])
 
 
 @pytest.mark.parametrize("name", ["fem", "bem:nonlinear"])

@@ -4,6 +4,7 @@ import math
 import re
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from tests.report.runs import AMPLITUDE, REFERENCE, asked, make_case, make_run, of_model
@@ -77,3 +78,21 @@ def test_force_of_an_indenter_over_its_depth() -> None:
     (words,) = re.findall(r'aria-label="([^"]*)"', "".join(str(figure.svg) for figure in figures.figures))
     assert "to 700 mN at 4 mm" in words
     assert ": m " not in words, "a model without contact has no curve"
+
+
+@pytest.mark.parametrize(("scanned", "kind"), [(False, "contact"), (True, "contact"), (True, "constrained")])
+def test_a_curve_starts_at_the_origin_unless_a_weight_acts_there(kind: str, *, scanned: bool) -> None:
+    """A body that was scanned under its weight is where its scan is, but its weight hangs on what is moved."""
+    more = {"force": 0.4} if kind == "contact" else {"displacement": (0.0, 0.0, 0.004), "region": "base"}
+    case = make_case({"m": 0.5}, contact={"kind": kind, **more}, steps=(0.5, 1.0))
+    heavy = asked(case, gravity={"acceleration": [0.0, 0.0, -9.81], "scanned": scanned})
+    starts = scanned and kind == "contact"
+    for one, expected in ((case, True), (heavy, starts)):
+        digest = Digest(make_run([one]))
+        section = force_against_indentation(digest)
+        words = " ".join(str(block) for block in section.blocks if not isinstance(block, Figures))
+        assert ("no curve starts at the origin" not in words) is expected
+        (pushed,) = pushes(one, digest.surfaces[one.hash])
+        answer = Answer.of(one.models[REFERENCE])
+        depths, _ = pushed.curve(answer)
+        assert np.isfinite(pushed.force_at(0.5 * depths[0], answer)) == expected, "before the first step"
