@@ -182,8 +182,9 @@ class Newton:
         """Go from one load to another in substeps as long as convergence allows.
 
         Every attempt is yielded; the last one either reaches load factor one or has failed. Where a substep
-        heads for J = 0 short of a load at which an element turned inside out, that attempt is yielded again. One
-        from the start does not count: it fails at loads that are reached in shorter substeps.
+        heads for J = 0 short of a load at which an element turned inside out, that attempt is yielded again, but
+        where it is the next to be made. One from the start does not count: it fails at loads that are reached in
+        shorter substeps.
         """
         substeps, wall = Substeps(), None
         while substeps.reached < 1.0:
@@ -193,7 +194,7 @@ class Newton:
             if attempt.converged:
                 substeps.found(len(attempt.residuals) - 1 <= _EASY)
                 before, state = state, attempt.state
-                if wall and target < wall.load_factor:
+                if wall and substeps.target < wall.load_factor:
                     ahead = (wall.load_factor - target) / (target - reached)
                     if self._turns_inside_out(before, state, ahead):
                         yield replace(wall, state=state, residuals=wall.residuals[-1:])

@@ -412,6 +412,21 @@ def test_an_element_inside_out_from_rest_does_not_end_a_way_that_goes_on() -> No
     assert last.load_factor == 1.0
 
 
+def test_a_load_that_comes_next_is_tried_again_wherever_the_least_j_heads() -> None:
+    """The body bulges between 7/8 and 15/16 of the way, and J falls slower from there."""
+    body = mapped_box((2, 2, 4), lambda x: x * (1.0, 0.5, 2.0))
+    top = body.surface[:, 2] == 2.0
+    problem = body.finite(body.bottom | top, poisson_ratio=0.49)
+    load = body.load(prescribed=top[:, None] * np.array([0.345, 0.0, -0.575]))
+    attempts = [attempt for _, attempt in problem.substeps([load])]
+    failed = [one for one in attempts if one.code == "inverted"]
+    assert [one.load_factor for one in failed] == [1.0, 1.0], "from rest and from a state on the way"
+    assert not failed[0].state.displacement.any()
+    assert failed[1].state.displacement.any()
+    assert attempts[-1].converged
+    assert attempts[-1].load_factor == 1.0
+
+
 @pytest.mark.parametrize(("sides", "at_the_rim"), [((2, 2, 2), False), ((4, 2, 2), True)])
 def test_what_creases_at_the_rim_of_what_is_held_is_said_to_be_there(
     sides: tuple[int, int, int], at_the_rim: bool
