@@ -154,7 +154,7 @@ def bent(model: Model, parts: int) -> tuple[Parts, Array]:
     moved = np.zeros_like(x)
     moved[:, 0] = (1.0 / k - up) * np.sin(k * along) - along
     moved[:, 2] = 1.0 / k - (1.0 / k - up) * np.cos(k * along) - up
-    noise = np.random.default_rng(2).standard_normal(x.shape)
+    noise = np.random.default_rng(0).standard_normal(x.shape)
     return body, np.where(body.free[:, None], moved + 1e-3 * SIDE * noise, 0.0)
 
 
@@ -187,25 +187,22 @@ def test_forces_are_the_derivative_of_the_energy_and_balance(ratio: float) -> No
 
 
 @pytest.mark.parametrize(
-    ("gravity", "ratio", "apart"),
-    [((0.0, 0.0, 0.0), 0.5, 0.05), ((0.0, -1.0, -9.0), 0.5, 0.2), ((0.0, -0.1, -0.9), 0.45, 0.05)],
+    ("gravity", "ratio"), [((0.0, 0.0, 0.0), 0.5), ((0.0, -1.0, -9.0), 0.5), ((0.0, -0.1, -0.9), 0.45)]
 )
-def test_a_correction_has_the_slope_of_the_state(
-    gravity: tuple[float, float, float], ratio: float, apart: float
-) -> None:
-    """What it supplies is what was lacking but for terms of the order of the strain, in a body bent far.
+def test_a_correction_has_the_slope_of_the_state(gravity: tuple[float, float, float], ratio: float) -> None:
+    """What it supplies is what was lacking but for terms of the order of the strain, 5 %, in a body bent far.
 
-    By 5 % of what was lacking; under a weight that moves it by six of its sides those terms are larger.
+    Where the pressure times a section is ten times that, and six times Euler's load, it is nearly singular.
     """
     body, x = bent(clamped(BAR, density=1000.0, gravity=gravity, poisson_ratio=ratio), 4)
-    load, pressure = Load(np.zeros(len(BAR[0]))), np.full(body.n_pressures, 400.0)
+    load, pressure = Load(np.zeros(len(BAR[0]))), np.full(body.n_pressures, 40.0)
     state = body.balance(load, x, pressure)
     change, pushed = body.correction(state, state.lacking, state.gap, np.eye(3))
     way = np.zeros_like(x)
     way[body.free] = change
     ahead, behind = (body.balance(load, x + s * way, pressure + s * pushed) for s in (1e-5, -1e-5))
     supplied, lacking = (ahead.lacking - behind.lacking)[body.free] / 2e-5, state.lacking[body.free]
-    assert np.linalg.norm(supplied + lacking) < apart * np.linalg.norm(lacking)
+    assert np.linalg.norm(supplied + lacking) < 0.1 * np.linalg.norm(lacking)
     # where a part turns, what quadrature leaves of a uniform pressure turns with it
     left = (1e-6 if ratio == 0.5 else 1e-4) * np.abs(state.gap).max()
     assert_allclose((ahead.gap - behind.gap) / 2e-5, -state.gap, rtol=0.0, atol=left)
@@ -603,6 +600,16 @@ def test_a_search_for_a_rest_shape_takes_double_precision(monkeypatch: pytest.Mo
     first = Parts(problem, 4)
     Parts(problem, 4, first.cut)
     assert assembled == [np.float32] * 4 + [np.float64] * 4
+
+
+@pytest.mark.parametrize("parts", [2, None])
+def test_a_cut_into_more_parts_than_were_asked_for_is_kept(parts: int | None) -> None:
+    """As of a fork, whose search for a rest shape would have no end if it were cut anew."""
+    kept = Parts(clamped(BAR).problem, 3).cut
+    model = clamped(BAR, parts=parts)
+    solver = PartsSolver(model.problem, kept)
+    solver.prepare([Load(np.zeros(len(BAR[0])))], compared=False, count=2)
+    assert solver.body.cut is kept
 
 
 def test_a_load_that_cannot_be_undone_is_named_with_the_share_that_was() -> None:

@@ -35,7 +35,7 @@ class PartsSolver:
     Parameters
     ----------
     problem : of boundary elements
-    cut : that it has in as many parts; None: it is cut anew
+    cut : that it has where it is asked for as many parts, or, of a fork, for more than half; None: it is cut anew
     """
 
     def __init__(self, problem: Problem, cut: Cut | None = None) -> None:
@@ -232,7 +232,8 @@ class PartsSolver:
 
     def _of(self, count: int) -> NonlinearSolver:
         if count not in self._solvers:
-            is_cut = self._cut is not None and len(self._cut.parts) == count
+            made = 0 if self._cut is None else len(self._cut.parts)  # a fork has more than were asked for
+            is_cut = made > 0 and (count == self._given or count <= made < 2 * count)
             body = Parts(self._whole, count, self._cut if is_cut else None)
             self._solvers[count] = NonlinearSolver(body.problem, body, body.factor)
         return self._solvers[count]
