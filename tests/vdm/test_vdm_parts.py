@@ -604,7 +604,7 @@ def test_a_search_for_a_rest_shape_takes_double_precision(monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("parts", [2, None])
 def test_a_cut_into_more_parts_than_were_asked_for_is_kept(parts: int | None) -> None:
-    """As of a fork, whose search for a rest shape would have no end if it were cut anew."""
+    """As of a fork: shapes of which each asks for the other's cut have no end if they are cut anew."""
     kept = Parts(clamped(BAR).problem, 3).cut
     model = clamped(BAR, parts=parts)
     solver = PartsSolver(model.problem, kept)
