@@ -182,11 +182,11 @@ class Newton:
         """Go from one load to another in substeps as long as convergence allows.
 
         Every attempt is yielded; the last one either reaches load factor one or has failed. Where a substep
-        heads for J = 0 short of a load at which an element turned inside out, that attempt is yielded again, but
-        where it is the next to be made. One from the start does not count: it fails at loads that are reached in
-        shorter substeps.
+        heads for J = 0 short of a load at which an element turned inside out, that load is tried at once, and is
+        the last if it fails again. A failure from the start does not count: such loads are reached in shorter
+        substeps.
         """
-        substeps, wall = Substeps(), None
+        substeps, wall, ends = Substeps(), 0.0, False
         while substeps.reached < 1.0:
             reached, target = substeps.reached, substeps.target
             attempt = self.solve(state, start.towards(end, target), target, reached)
@@ -194,15 +194,14 @@ class Newton:
             if attempt.converged:
                 substeps.found(len(attempt.residuals) - 1 <= _EASY)
                 before, state = state, attempt.state
-                if wall and substeps.target < wall.load_factor:
-                    ahead = (wall.load_factor - target) / (target - reached)
-                    if self._turns_inside_out(before, state, ahead):
-                        yield replace(wall, state=state, residuals=wall.residuals[-1:])
-                        return
-            elif attempt.code == "too-small" or not substeps.failed() or self._is_unstable(attempt):
+                ahead = (wall - target) / (target - reached)
+                ends = ahead > 0.0 and self._turns_inside_out(before, state, ahead)
+                if ends:
+                    substeps.leap(wall)
+            elif ends or attempt.code == "too-small" or not substeps.failed() or self._is_unstable(attempt):
                 return
             elif attempt.code == "inverted" and reached > 0.0:
-                wall = attempt
+                wall = target
 
     def _turns_inside_out(self, before: State, state: State, ahead: float) -> bool:
         """Whether the least volume ratio J is gone after `ahead` more steps as that between two states."""

@@ -36,6 +36,10 @@ class Substeps:
             self._step = max(min(step, 0.5 * (self._wall - self.reached)), LEAST_STEP)
         self._has_failed = False
 
+    def leap(self, target: float) -> None:
+        """Try a share next that is farther than the rule has it."""
+        self._step = target - self.reached
+
     def failed(self) -> bool:
         """The target was not reached; whether half of the way there is worth a try."""
         step = self.target - self.reached
