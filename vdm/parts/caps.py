@@ -12,7 +12,7 @@ from scipy.spatial import Delaunay, cKDTree
 from solver_common.arrays import Array, Index, Mask
 from solver_common.closed_surfaces import closed_pieces
 
-# nodes inside keep this share of the mesh size from the loop
+# nodes of the lattice keep this share of the mesh size from the loop
 CLEAR = 0.6
 # a row of nodes along the loops is this share inside, no two nearer; the lattice within, clear of it, is coarser
 INSIDE = 0.5
