@@ -28,8 +28,6 @@ Array = np.ndarray
 E, LENGTH, SIDE = 3e4, 0.1, 0.01
 BAR = box(counts=(24, 3, 3), size=(LENGTH, SIDE, SIDE))
 ROD = icosphere(2, (0.06, 0.02, 0.02))
-BLOCK = box(8, (0.06, 0.05, 0.04))
-STANDING = BLOCK[0][:, [2, 0, 1]], BLOCK[1]  # on its broadest face
 CUBE = box(6, (0.04, 0.04, 0.04))  # with nodes of its loops in line
 
 
@@ -549,19 +547,10 @@ def test_parts_at_small_displacements_are_one_body(ratio: float) -> None:
     assert bent == pytest.approx(model.bending_error, rel=0.2)
 
 
-@pytest.mark.parametrize(
-    ("body", "share", "count", "way"),
-    [
-        (BAR, 0.25, 4, 2),
-        (BLOCK, 0.15, 8, 2),
-        (BLOCK, 0.3, 8, 0),
-        (STANDING, 0.3, 4, 0),
-        (STANDING, 0.3, 8, 0),
-    ],
-)
-def test_parts_at_a_rim_are_one_body(body: tuple[Array, Array], share: float, count: int, way: int) -> None:
-    """Of a bar whose first cut would lie on it, of blocks under a weight across and along."""
-    model = clamped(body, share, "linear", density=1.0, gravity=tuple(-1e-3 * np.eye(3)[way]))
+@pytest.mark.parametrize(("body", "share", "count"), [(BAR, 0.25, 4), (box(8, (0.06, 0.05, 0.04)), 0.15, 8)])
+def test_parts_at_a_rim_are_one_body(body: tuple[Array, Array], share: float, count: int) -> None:
+    """Of a bar whose first cut would lie on it, of the quarters of a block that bends: they were 3 to 4 % off."""
+    model = clamped(body, share, "linear", density=1.0, gravity=(0.0, 0.0, -1e-3))
     parts, load = Parts(model.problem, count), Load(np.zeros(len(body[0])))
     whole = model.solve([load]).displacement[0]
     found = LinearSolver(parts.problem, factor=parts.factor).step(load).displacement

@@ -181,8 +181,6 @@ class Parts:
         of_shell = np.zeros(n, np.int64)  # nodes of caps are of none, and so are facets with one of them
         of_shell[surface.triangles] = surface.shells[:, None]
         of_shell[n - len(self.cut.ends) :] = of_shell[self.cut.ends].min(axis=1)
-        inside = np.arange(n) >= surface.n_nodes
-        inside[n - len(self.cut.ends) :] = inside[self.cut.ends].any(axis=1)
         self.problem, block = problem, None
         if self.n_parts == 1:
             self.factor = BorderedFactor(problem)
@@ -196,10 +194,9 @@ class Parts:
                 form.parameters = parameters
             else:
                 own = SurfaceMesh(points[nodes], local.reshape(-1, 3))
-                # a search for a rest shape, which passes one cut on, does not end where tractions are shared
+                # a search for a rest shape, which passes one cut on, does not end with single precision's tractions
                 precise_as = surface.n_nodes if given is None else 1
-                within = inside[nodes] & (given is None)
-                form = BoundaryFormulation(own, parameters, fixed[nodes], precise_as, inside=within)
+                form = BoundaryFormulation(own, parameters, fixed[nodes], precise_as, is_cut=True)
             form.swelling = Swelling.of(form)
             owns = np.zeros(len(nodes), np.bool_)
             on_surface = nodes < surface.n_nodes

@@ -12,12 +12,8 @@ from scipy.spatial import Delaunay, cKDTree
 from solver_common.arrays import Array, Index, Mask
 from solver_common.closed_surfaces import closed_pieces
 
-# nodes of the lattice keep this share of the mesh size from the loop
+# nodes inside keep this share of the mesh size from the loop
 CLEAR = 0.6
-# a row of nodes along the loops is this share inside, no two nearer; the lattice within, clear of it, is coarser
-INSIDE = 0.5
-WITHIN = 0.8
-COARSER = 1.25
 SMOOTHINGS = 4
 # of the mesh size squared: a triangle of less area is a line
 FLAT = 1e-9
@@ -29,15 +25,13 @@ class CutError(ValueError):
     """Loops that no cap fills; the message says why."""
 
 
-def cap(
-    points: Array, loops: list[Index], normal: Array, *, is_rough: bool = False, has_row: bool = True
-) -> tuple[Array, Index]:
+def cap(points: Array, loops: list[Index], normal: Array, *, is_rough: bool = False) -> tuple[Array, Index]:
     """New nodes (k, 3), and facets (C, 3) that close loops of `points` (N, 3); a new node j has the number N + j.
 
     A facet's edge on a loop runs against the loop. Seen along `normal`, loops are paired by nesting: what lies
-    inside an odd number of them is filled. New nodes stand in a row along the loops if it `has_row`, half their
-    mean edge inside, and in a lattice within, finer where a cap is narrower, and are lifted out of the plane as a
-    harmonic function of the loops' own heights. A rough cap has its lattice as it is, flat, in half of the time.
+    inside an odd number of them is filled. New nodes stand in a lattice of the loops' mean edge, finer where a cap
+    is narrower, and are lifted out of the plane as a harmonic function of the loops' own heights. A rough cap has
+    its lattice as it is, flat, in half of the time.
 
     Raises
     ------
@@ -56,7 +50,7 @@ def cap(
     border = points[nodes] @ axes
     size = float(np.linalg.norm(border[edges[:, 1]] - border[edges[:, 0]], axis=1).mean())
     for width in size * FINER:
-        inner, triangles = _filled(border, edges, width, has_row, 0 if is_rough else SMOOTHINGS)
+        inner, triangles = _filled(border, edges, width, 0 if is_rough else SMOOTHINGS)
         # each piece of a cap has a node inside: by that the volumes of the parts beside it are apart
         if np.bincount(closed_pieces(triangles), (triangles >= len(border)).any(axis=1)).all():
             break
@@ -69,21 +63,17 @@ def cap(
     return lifted, numbers[triangles]
 
 
-def _filled(border: Array, edges: Index, size: float, has_row: bool, smoothings: int) -> tuple[Array, Index]:
+def _filled(border: Array, edges: Index, size: float, smoothings: int) -> tuple[Array, Index]:
     """Nodes (k, 2) of this mesh size inside the loops of `border` (n, 2), and triangles (C, 3) of all n + k."""
-    row = _row(border, edges, size) if has_row else border[:0]
-    fixed = np.vstack([border, row])
-    inner = _lattice(border, edges, COARSER * size if len(row) else size)
-    if len(row):
-        inner = inner[nearest(inner, row) > WITHIN * size]
+    inner = _lattice(border, edges, size)
     for _ in range(smoothings):
         if not len(inner):
             break
-        links = _links(_delaunay(np.vstack([fixed, inner])), len(fixed) + len(inner))
-        means = (links @ np.vstack([fixed, inner])) / links.sum(axis=1)[:, None]
-        moved = means[len(fixed) :]
+        links = _links(_delaunay(np.vstack([border, inner])), len(border) + len(inner))
+        means = (links @ np.vstack([border, inner])) / links.sum(axis=1)[:, None]
+        moved = means[len(border) :]
         inner = moved[_clear(moved, border, edges, CLEAR * size)]
-    flat = np.vstack([fixed, inner])
+    flat = np.vstack([border, inner])
     triangles = _constrained(flat, _delaunay(flat), edges)
     # nodes of a loop that are in line make a flat one, whose middle is on the loop
     wide = np.abs(_area(*flat[triangles].transpose(1, 0, 2))) > FLAT * size**2
@@ -93,20 +83,7 @@ def _filled(border: Array, edges: Index, size: float, has_row: bool, smoothings:
     used = np.unique(triangles)
     if len(used) != len(flat):  # a node beside the loops' filled side
         raise CutError("loops of the cut cannot be paired")
-    return flat[len(border) :], triangles
-
-
-def _row(border: Array, edges: Index, size: float) -> Array:
-    """(k, 2) points beside the middles of the loops' edges, half a mesh size inside; one where more would meet."""
-    start, side = border[edges[:, 0]], border[edges[:, 1]] - border[edges[:, 0]]
-    across = INSIDE * size * side[:, ::-1] / np.linalg.norm(side, axis=1)[:, None] * [-1.0, 1.0]
-    places = np.concatenate([start + 0.5 * side + across, start + 0.5 * side - across])
-    places = places[_clear(places, border, edges, 0.9 * INSIDE * size)]
-    taken: list[Array] = []
-    for place in places:
-        if all(np.linalg.norm(place - other) > INSIDE * size for other in taken):
-            taken.append(place)
-    return np.array(taken).reshape(-1, 2)
+    return inner, triangles
 
 
 def _lattice(border: Array, edges: Index, size: float) -> Array:

@@ -129,11 +129,10 @@ def _halved(points: Array, triangles: Index, apart: Mask | None, is_rough: bool)
             yield loops, labels
 
     for loops, labels in borders():
-        for has_row in (False,) if is_rough else (True, False):
-            try:
-                return _closed(points, triangles, labels, loops, normal, is_rough, has_row)
-            except CutError as error:
-                refused.append(error)
+        try:
+            return _closed(points, triangles, labels, loops, normal, is_rough)
+        except CutError as error:
+            refused.append(error)
     raise refused[0]
 
 
@@ -149,15 +148,9 @@ def _edges_to(triangles: Index, loops: list[Index], apart: Mask, n: int) -> int:
 
 
 def _closed(
-    points: Array,
-    triangles: Index,
-    labels: Mask,
-    loops: list[Index],
-    normal: Array,
-    is_rough: bool,
-    has_row: bool,
+    points: Array, triangles: Index, labels: Mask, loops: list[Index], normal: Array, is_rough: bool
 ) -> tuple[Array, list[Index]]:
-    new, facets = cap(points, loops, normal, is_rough=is_rough, has_row=has_row)
+    new, facets = cap(points, loops, normal, is_rough=is_rough)
     grown = np.vstack([points, new])
     border = np.concatenate([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops])
     n = len(points)
