@@ -16,7 +16,7 @@ from ..scene.regions import select
 from ..scene.result import ModelResult
 from ..study.loads import Constraint
 from ..study.registry import SCANNED
-from ..study.schema import Study, extras_of
+from ..study.schema import Study, extras_of, has_weight
 
 _BEYOND = 1e-9  # of the largest depth: as far beyond it is rounding
 
@@ -69,7 +69,7 @@ class Pushed:
         self._factors = factors
         # without load a scanned body is where its scan is, but its weight hangs on what is moved too
         scanned = SCANNED in extras_of(study) and constraint.kind != "constrained"
-        self.rests = scanned or study.gravity is None or not any(study.gravity.acceleration)
+        self.rests = scanned or not has_weight(study)
         # a pressure's resultant hangs on the mesh, and is none of a pressure from all sides
         self.unit = "Pa" if constraint.kind == "contact" and constraint.force is None else "N"
 

@@ -462,6 +462,11 @@ class Study(Table):
 # --- What a study has that not every model takes ---
 
 
+def has_weight(study: Study) -> bool:
+    """Whether the body's weight acts, which does not scale with the loads."""
+    return study.gravity is not None and any(study.gravity.acceleration)
+
+
 def extras_of(study: Study) -> frozenset[str]:
     """Of `vdmbench.study.registry.EXTRAS` those that a study has."""
     found = {part.extra for part in study.constraints} - {""}
@@ -475,7 +480,7 @@ def extras_of(study: Study) -> frozenset[str]:
         found.add("inclusions")
     if study.anisotropy is not None:
         found.add("fibres")
-    if study.gravity is not None and study.gravity.scanned and any(study.gravity.acceleration):
+    if study.gravity is not None and study.gravity.scanned and has_weight(study):
         found.add(SCANNED)
     return frozenset(found)
 

@@ -336,7 +336,7 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
     """Elements, or a surface model closer by more than the reference's error; where none serves, that."""
     if not elements:
-        return Advice(EXACT, "reference alone" if _refuses(LINEAR, digest) else "elements")
+        return Advice(EXACT, "finite strain" if _refuses(LINEAR, digest) else "elements")
     told = [name for name in elements if not digest.same_as_reference(name)]
     bars = [median_known(digest.bars(one.metric)) / one.allowed for one in digest.criteria if one.of_load]
     bar = max(filter(math.isfinite, bars), default=0.0)

@@ -22,7 +22,7 @@ from ..study.config import case_inputs
 from ..study.kinds import Enters
 from ..study.loads import KINDS, VERSION
 from ..study.registry import lacks
-from ..study.schema import Study, extras_for, extras_of
+from ..study.schema import Study, extras_for, extras_of, has_weight
 
 _FORMAT = 4  # of the files of answers: raised with what is in them
 _DIGITS = 12  # of a load beside others: less is rounding
@@ -116,11 +116,6 @@ def direction(step: Mapping[str, float]) -> tuple[dict[str, float], float]:
     scale = max(acting.values(), key=abs, default=0.0)
     # 0.0 is added because -0.0 is written otherwise
     return {unit: float(f"{value / scale:.{_DIGITS}g}") + 0.0 for unit, value in acting.items()}, scale
-
-
-def has_weight(study: Study) -> bool:
-    """Whether the body's weight acts, which does not scale with the loads."""
-    return study.gravity is not None and any(study.gravity.acceleration)
 
 
 def has_penalty(study: Study, name: str) -> bool:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..body.mesh_cache import mesh_path
 from ..study.config import resolved
+from ..study.schema import has_weight
 from .cache import answer_path
-from .keys import Wanted, has_weight, level_key
+from .keys import Wanted, level_key
 
 if TYPE_CHECKING:
     from .plan import Plan, PlannedCase
