@@ -106,18 +106,27 @@ BOX = {
     "regions": {"base": {"below": {"axis": "x", "fraction": 0.1}}},
     "constraints": STUDY["constraints"][:1],
 }
+BALL = {
+    "geometry": {"shape": "sphere", "radius": 0.05, "mesh_size": 0.0195},
+    "tissue": {"youngs_modulus": 4000.0, "poisson_ratio": 0.49},
+    "regions": {"base": {"below": {"axis": "z", "fraction": 0.2}}},
+    "constraints": STUDY["constraints"][:1],
+}
 
 
-@pytest.mark.parametrize("body", [ORGAN, BOX])
-def test_a_body_in_parts_is_recovered_as_its_rest_shape_is_cut(
-    body: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("body", "parts"), [(ORGAN, 2), (BOX, 2), (BALL, 1)])
+def test_a_body_is_recovered_as_its_rest_shape_is_cut(
+    body: dict[str, Any], parts: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Cut as its scan is, an organ's sag was 2 % off; a symmetric body's, cut where rounding led, 0.2 %."""
+    """Cut as its scan is, an organ's sag was 2 % off; a symmetric body's, cut where rounding led, 0.2 %.
+
+    A ball of few facets, those at its rim cut as its scan asks for, was 1.8 % off.
+    """
     weighed = STUDY | body | {"load": {"factors": [0.0]}}
     study = Study.model_validate(weighed)
     known = build_scene(study, build_mesh(study.geometry, volume=False))
     straight, found = models.run_model(known, "bem:nonlinear"), list[Array]()
-    assert straight.scalars["parts"] > 1
+    assert straight.scalars["parts"] == parts
 
     def watched(solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, seconds: float) -> Solution:
         found.append(sag)
@@ -128,7 +137,7 @@ def test_a_body_in_parts_is_recovered_as_its_rest_shape_is_cut(
     mesh = dataclasses.replace(known.mesh, points=_sagged(known, "bem:nonlinear"))
     models.run_model(build_scene(scanned, mesh, known.regions), "bem:nonlinear")
     sag = straight.displacement[0]
-    assert np.abs(sag).max() > 0.02
+    assert np.abs(sag).max() > 0.005
     assert_allclose(found[0], sag, rtol=0, atol=1e-3 * np.abs(sag).max())
 
 

@@ -215,7 +215,7 @@ def test_a_rod_thinner_than_its_mesh_is_coarse_has_one() -> None:
     message, remedy = told(model)
     assert 0.8 < model.bending_error < 1.1
     assert f"a known bending comes out {100 * model.bending_error:.0f} % wrong" in message
-    assert remedy == "refine the surface, above all where it is thin, to about 1,500 nodes"
+    assert remedy == "refine the surface, above all where it is thin, to about 1,600 nodes"
     assert held_at_one_end(*icosphere(2, THIN), solver="nonlinear").bending_error == model.bending_error
 
 

@@ -31,6 +31,8 @@ from vdm.surface import SurfaceMesh, rigid_basis
 
 # of the way from the held end of an edge to its free one
 PLACE = 0.25
+# of the mesh about a node, by whose counts it is told from another: a change of shape does not move them
+RINGS = 8
 # one length over another that is the same to rounding
 SHORTER = 1.0 - 1e-9
 # of a large matrix, at once
@@ -158,6 +160,7 @@ def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Arr
         return points, list(bodies), ends
     grown = np.asarray(on_edges(ends, n) @ points)
     new = np.where(numbers < 0, -1, n + numbers)
+    met = _met(sides.reshape(-1, 2), n)
     _, of, uses = np.unique(np.sort(facets, axis=1), axis=0, return_inverse=True, return_counts=True)
     # seen from either side a facet is cut as the one with its nodes in ascending order, but for a cyclic shift
     a, b, c = facets.T
@@ -166,21 +169,36 @@ def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Arr
     for body in bodies:
         span = slice(start, start + len(body))
         t, at, back = facets[span], new[span], turned[span]
-        mirrored = _cut(t[back][:, ::-1], at[back][:, [1, 0, 2]], grown)[:, ::-1]
-        pieces.append(np.concatenate([_cut(t[~back], at[~back], grown), mirrored]))
+        mirrored = _cut(t[back][:, ::-1], at[back][:, [1, 0, 2]], grown, met)[:, ::-1]
+        pieces.append(np.concatenate([_cut(t[~back], at[~back], grown, met), mirrored]))
         start += len(body)
     return grown, pieces, ends
 
 
-def _cut(triangles: Index, new: Index, points: Array) -> Index:
-    """The facets, those with new nodes on two sides (F, 3; -1 for none) in three: a corner and the rest."""
+def _cut(triangles: Index, new: Index, points: Array, met: Index) -> Index:
+    """The facets, those with new nodes on two sides (F, 3; -1 for none) in three: a corner and the rest.
+
+    The rest's diagonal does not depend on where the body's nodes are but where `_met` (n,) is in a tie: a body that
+    sags keeps it, and is led back to rest with it.
+    """
     is_cut = (new >= 0).any(axis=1)
     # the corner between the two sides comes first; side 0 is after corner 0
     turned = (np.argmin(new[is_cut], axis=1)[:, None] + 2 + np.arange(3)) % 3
     a, b, c = np.take_along_axis(triangles[is_cut], turned, axis=1).T
     ab, _, ca = np.take_along_axis(new[is_cut], turned, axis=1).T
-    # the shorter diagonal of what is left; rounding does not decide between equal ones
-    lengths = np.linalg.norm(points[[ab, b]] - points[[c, ca]], axis=2)
-    third, second = np.where(lengths[0] < SHORTER * lengths[1], [ab, c], [b, ca])
+    # from the node that is met more often; in a tie the shorter, and rounding does not decide between equal ones
+    ab_c, b_ca = np.linalg.norm(points[[ab, b]] - points[[c, ca]], axis=2)
+    is_first = np.where(met[b] == met[c], ab_c < SHORTER * b_ca, met[b] < met[c])
+    third, second = np.where(is_first, [ab, c], [b, ca])
     thirds = [(a, ab, ca), (ab, b, second), (third, c, ca)]
     return np.concatenate([triangles[~is_cut], *(np.stack(part, axis=1) for part in thirds)])
+
+
+def _met(edges: Index, n: int) -> Index:
+    """(n,) the number of walks from each node of `RINGS` steps, each along an edge (k, 2) or none."""
+    pairs = np.unique(np.concatenate([edges, edges[:, ::-1]]), axis=0)
+    beside = sparse.csr_array((np.ones(len(pairs), np.int64), pairs.T), shape=(n, n))
+    met = np.ones(n, np.int64)
+    for _ in range(RINGS):
+        met = met + beside @ met
+    return met

@@ -14,8 +14,10 @@ from vdm.boundary.coarsening import DECIMALS, node_order
 from vdm.surface import SurfaceMesh
 
 
-def shared(surface: SurfaceMesh, held: Mask) -> Index:
-    """(F,) number of each facet's traction: pairs but at the rim of held nodes (N,), the best shaped first.
+def shared(surface: SurfaceMesh, held: Mask, among: Mask | None = None) -> Index:
+    """(F,) number of each facet's traction: pairs `among` some (F,), else all, the best shaped first.
+
+    Facets at the rim of held nodes (N,) are in none.
 
     A pair is the better, the larger its area vector is beside the squares of its four sides: 1/4 for a plane
     square, less for what is slender or folded. Facets at a right angle or more are no pair. Among equal ones the
@@ -37,6 +39,8 @@ def shared(surface: SurfaceMesh, held: Mask) -> Index:
     at_rim = np.zeros(surface.n_nodes, np.bool_)
     at_rim[surface.edges[held[start] != held[end]]] = True
     alone = ~np.asarray((at_rim & held)[triangles].any(axis=1))
+    if among is not None:
+        alone &= among
     numbers = np.arange(len(triangles))
     for first, second in facets[best_first]:
         if alone[first] and alone[second]:

@@ -34,6 +34,7 @@ from scipy import sparse
 
 from solver_common.arrays import Array, Index, Mask
 from vdm.boundary.rims import on_edges
+from vdm.boundary.tractions import shared as shared_tractions
 from vdm.constraints import Load
 from vdm.deformed import DeformableSurface, DeformedSurface, best_rotation
 from vdm.formulations.base import Factor
@@ -186,6 +187,9 @@ class Parts:
             self.factor = BorderedFactor(problem)
             block = self.factor.block
         self.parts: list[Part] = []
+        on_caps = np.arange(n) >= surface.n_nodes
+        on_caps[n - len(self.cut.ends) :] = on_caps[self.cut.ends].any(axis=1)
+        tractions = list(self.cut.tractions)
         for number, triangles in enumerate(self.cut.parts):
             nodes, local = np.unique(triangles, return_inverse=True)
             walls = of_shell[triangles].min(axis=1)[:, None] == 1 + np.arange(self._n_filled)
@@ -194,9 +198,11 @@ class Parts:
                 form.parameters = parameters
             else:
                 own = SurfaceMesh(points[nodes], local.reshape(-1, 3))
-                # a search for a rest shape, which passes one cut on, does not end with single precision's tractions
-                precise_as = surface.n_nodes if given is None else 1
-                form = BoundaryFormulation(own, parameters, fixed[nodes], precise_as, is_cut=True)
+                if number == len(tractions):
+                    tractions.append(_tractions(own, fixed[nodes], on_caps[nodes], surface.n_nodes))
+                form = BoundaryFormulation(
+                    own, parameters, fixed[nodes], surface.n_nodes, tractions=tractions[number]
+                )
             form.swelling = Swelling.of(form)
             owns = np.zeros(len(nodes), np.bool_)
             on_surface = nodes < surface.n_nodes
@@ -206,6 +212,7 @@ class Parts:
                 form, nodes, inner, shared[nodes], owns, walls, place[nodes[shared[nodes]]], block
             )
             self.parts.append(part)
+        self.cut = given or replace(self.cut, tractions=tuple(tractions))
         # all parts at once, one after another
         self._joint = DeformableSurface.together([part.body for part in self.parts])
         self._nodes = np.concatenate([part.nodes for part in self.parts])
@@ -694,6 +701,17 @@ def _summing(places: Index, count: int) -> sparse.csr_array:
     """(count, k) sums what has these places (k,)."""
     ones, every = np.ones(len(places)), np.arange(len(places))
     return sparse.csr_array(sparse.coo_array((ones, (places, every)), shape=(count, len(places))))
+
+
+def _tractions(surface: SurfaceMesh, held: Mask, on_caps: Mask, n_body: int) -> Index:
+    """Of a part's facets: those with nodes (N,) on caps share them in pairs, of a large body all.
+
+    With one of each facet the few nodes of a cap would follow tractions that they do not resolve, and stiffen it.
+    """
+    from vdm.boundary.operators import precision  # numba takes a third of a second to import
+
+    of_caps = on_caps[surface.triangles].any(axis=1)
+    return shared_tractions(surface, held, None if precision(n_body) is np.float32 else of_caps)
 
 
 def _rim(surface: SurfaceMesh, held: Mask) -> Mask | None:

@@ -38,6 +38,7 @@ class Cut:
     refused : why no more parts were made, empty where as many were made as were asked for
     ends : (r, 2) nodes of the edges at rims that the last r nodes cut
     uncut : the parts without these; empty where there are none
+    tractions : (F_e,) number of the traction of each part's facets, which some share; empty until a body has them
     """
 
     points: Array
@@ -45,6 +46,7 @@ class Cut:
     refused: str = ""
     ends: Index = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     uncut: tuple[Index, ...] = ()
+    tractions: tuple[Index, ...] = ()
 
     def at_rims(self, held: Mask) -> Cut:
         """The parts, also cut along the rims of the body's held nodes (N,), caps too (`vdm.boundary.rims`).

@@ -45,9 +45,9 @@ class BoundaryFormulation(DisplacementFormulation):
     no such constraint; dP is then its mean pressure, `-kappa (sum g_i.u_i) / V`. A cavity that a fluid fills has a
     pressure too, and keeps its volume.
 
-    Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`), unless the surface `is_cut` there.
-    Other nodes may be held later, at the mesh's own resolution. It is as precise as a body of `precise_as` nodes,
-    else of its own.
+    Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`), unless the numbers of their tractions
+    (F,) are given: then they are cut already. Other nodes may be held later, at the mesh's own resolution. It is as
+    precise as a body of `precise_as` nodes, else of its own.
 
     Dense, (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
@@ -76,7 +76,7 @@ class BoundaryFormulation(DisplacementFormulation):
         held: Mask | None = None,
         precise_as: int | None = None,
         *,
-        is_cut: bool = False,
+        tractions: Index | None = None,
     ) -> None:
         super().__init__(surface, parameters)
         modulus = parameters.shear_modulus
@@ -84,7 +84,7 @@ class BoundaryFormulation(DisplacementFormulation):
             raise ParameterError(f"the {self.name} formulation needs shear_modulus, one positive number")
         self.shear_modulus = float(modulus)
         self.poisson_ratio = 0.5 if parameters.is_filled else parameters.poisson_ratio
-        self._precise_as, self._is_cut = precise_as, is_cut
+        self._precise_as, self._tractions = precise_as, tractions
         try:
             self._assemble(np.zeros(surface.n_nodes, np.bool_) if held is None else held)
         except linalg.LinAlgError as error:
@@ -112,7 +112,7 @@ class BoundaryFormulation(DisplacementFormulation):
 
     def _assemble(self, held: Mask) -> None:
         self._held = held
-        self._rims = Rims.of(self.surface, held & (not self._is_cut))
+        self._rims = Rims.of(self.surface, held & (self._tractions is None))
 
     @cached_property
     def matrix(self) -> Array:
@@ -132,14 +132,17 @@ class BoundaryFormulation(DisplacementFormulation):
     def _dense(self, rims: Rims, held: Mask) -> Array:
         """(3N, 3N) S of a surface of N nodes, cut along its rims.
 
-        In single precision facets share tractions, but at the rim of these held nodes of the cut surface.
+        Facets share tractions as they were given, else in single precision, but at the rim of these held nodes of
+        the cut surface.
         """
         # numba takes a third of a second to import
         from vdm.boundary.operators import Facets, precision, surface_stiffness
         from vdm.boundary.tractions import shared
 
         cut, dtype = rims.surface, precision(self._precise_as or rims.body.n_nodes)
-        tractions = shared(cut, held) if dtype is np.float32 else None
+        tractions = self._tractions
+        if tractions is None and dtype is np.float32:
+            tractions = shared(cut, held)
         matrix = surface_stiffness(
             Facets.of(cut.points, cut.triangles, tractions), self.poisson_ratio, dtype, rims
         )
