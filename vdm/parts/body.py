@@ -710,7 +710,7 @@ def _tractions(surface: SurfaceMesh, held: Mask, on_caps: Mask, n_body: int) -> 
     """
     from vdm.boundary.operators import precision  # numba takes a third of a second to import
 
-    of_caps = on_caps[surface.triangles].any(axis=1)
+    of_caps: Mask = np.asarray(on_caps[surface.triangles].any(axis=1))
     return shared_tractions(surface, held, None if precision(n_body) is np.float32 else of_caps)
 
 
