@@ -342,7 +342,7 @@ for _registered in (
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
         of_solvers={"parts": ("nonlinear",), "penalty": ("linear",)},
-        most_nodes=2000,
+        most_nodes={"linear": 2000},  # the other cuts the body into parts
         by_rule=("shear_modulus",),
     ),
     _surface(
@@ -365,7 +365,7 @@ for _registered in (
         parameters=("shear_modulus", "penalty"),
         of_solvers={"penalty": DIRECT},
         by_rule=("shear_modulus",),
-        most_nodes=5000,
+        most_nodes=dict.fromkeys(SOLVERS, 5000),
     ),
 ):
     register(_registered)

@@ -118,7 +118,7 @@ class Model:
     tissue : keys of [tissue] that it reads, the density apart, which all read where a weight acts
     parameters : keys of [vdm] and of its own table that it reads
     by_rule : of these the moduli that it takes from the tissue where a study does not set them
-    most_nodes : surface nodes beyond which it refuses a mesh; None where it has no such limit
+    most_nodes : solver -> surface nodes beyond which it refuses a mesh; not there where it has no such limit
     memory : (mesh, solver) -> bytes that a set-up takes, about: a plan refuses what has no room; None where little
     contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
     takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
@@ -135,7 +135,7 @@ class Model:
     tissue: tuple[str, ...]
     parameters: tuple[str, ...]
     by_rule: tuple[str, ...] = ()
-    most_nodes: int | None = None
+    most_nodes: Mapping[str, int] = field(default_factory=dict)
     memory: Callable[[Size, str], float] | None = None
     contact_in_setup: bool = False
     takes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)

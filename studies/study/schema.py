@@ -295,7 +295,7 @@ class Gravity(Table):
 class Environment(Table):
     """[environment]"""
 
-    pressure: Pressure = Key("P_ep, pressure of the surroundings")
+    pressure: Pressure = Key("P_ep, pressure of the surroundings, from which others count: it moves nothing")
 
 
 class Anisotropy(Table):

@@ -151,7 +151,8 @@ def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     """What models will refuse of these cases."""
     found: dict[str, None] = {}
     for name in plan.study.study.models:
-        most = models.find(name)[0].most_nodes
+        model, solver = models.find(name)
+        most = model.most_nodes.get(solver)
         for case in cases:
             found |= dict.fromkeys(told for _, told in refusals(case.study, name))
         for mesh in dict.fromkeys(case.mesh for case in cases):

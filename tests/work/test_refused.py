@@ -29,12 +29,20 @@ def test_a_model_that_will_refuse_a_mesh_is_named(
     nodes = round(mesh.size.nodes)
     assert nodes == counted if known else nodes == pytest.approx(counted, rel=0.25)
     for most, told in ((nodes - 1, True), (nodes + 1, False)):
-        model = dataclasses.replace(models.all_models()["mass-spring"], most_nodes=most)
+        model = dataclasses.replace(models.all_models()["mass-spring"], most_nodes={"linear": most})
         monkeypatch.setitem(models.all_models(), "mass-spring", model)
         lines = summary(plan)["refused"]
         assert [line.partition(";")[0] for line in lines] == [
             f"mass-spring on a mesh of about {nodes} surface nodes, more than its {most}"
         ] * told
+
+
+def test_what_cuts_a_body_into_parts_is_not_held_to_the_nodes_of_one(tmp_path: Path) -> None:
+    """`bem:nonlinear` answers beyond the nodes of one dense matrix, `bem` does not."""
+    study = {"name": "test", "models": ["bem", "bem:nonlinear"]}
+    geometry = TABLES["geometry"] | {"mesh_size": 0.001}
+    lines = summary(plan_of(tmp_path, tmp_path, study=study, geometry=geometry, uncertainty=None))["refused"]
+    assert [line.split()[0] for line in lines] == ["bem"]
 
 
 @pytest.mark.parametrize(

@@ -29,10 +29,7 @@ from vdm.peers.bem import moments, turned_back
 from vdm.solution import SolverError, Status
 from vdm.solvers.nonlinear import Balance, DeformedStep, NonlinearSolver
 
-NO_REST_SHAPE = (
-    "no rest shape was found that sags into the scanned one: beyond {:.0f} % of its weight the scan"
-    " cannot be undone"
-)
+NO_REST_SHAPE = "beyond {:.0f} % of its weight the scan cannot be undone"
 REMEDY = "give a stiffer tissue, or leave out gravity.scanned"
 
 
