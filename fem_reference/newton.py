@@ -214,8 +214,9 @@ class Newton:
         if failed.code == "passed":  # a shorter way of the indenter may touch the surface
             return False
         crumpled = most_compressed(mesh, failed.state.displacement * mesh.mean_edge).plane < BIOT
-        unsolved = failed.code == "linear-solver" and len(failed.residuals) == 1  # the state's own tangent
-        return crumpled or unsolved
+        unsolved = failed.code == "linear-solver" and len(failed.residuals) == 1
+        # the state's own tangent, but for the stiffness of the pressure that follows the surface
+        return crumpled or (unsolved and not failed.load.pressure.any())
 
     def solve(self, state: State, load: ScaledLoad, load_factor: float, reached: float = 0.0) -> Substep:
         """Newton iterations from a state, at load factor `reached`, to equilibrium under a load."""

@@ -427,6 +427,17 @@ def test_a_load_that_turned_an_element_inside_out_is_tried_again_before_the_way_
     assert attempts[-1].load_factor == 1.0
 
 
+def test_a_pull_whose_first_tangent_cannot_be_solved_is_reached_in_shorter_steps() -> None:
+    """At rest under all of it the stiffness of a pressure that follows the surface is more than the body's."""
+    body = mapped_box((6, 6, 2), lambda x: x * (1.0, 1.0, 0.5))
+    top = (body.surface[:, 2] == 0.5)[body.triangles].all(axis=1)
+    problem = body.finite(body.bottom, poisson_ratio=0.49, solver="iterative")
+    first, *_, last = [a for _, a in problem.substeps([body.load(-0.8 * top)])]
+    assert (first.code, len(first.residuals)) == ("linear-solver", 1)
+    assert last.converged
+    assert last.load_factor == 1.0
+
+
 @pytest.mark.parametrize(("sides", "at_the_rim"), [((2, 2, 2), False), ((4, 2, 2), True)])
 def test_what_creases_at_the_rim_of_what_is_held_is_said_to_be_there(
     sides: tuple[int, int, int], at_the_rim: bool
