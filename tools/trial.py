@@ -1,7 +1,7 @@
 """Bodies in parts on trial: slender, thick, thin-walled, forked and hollow ones, and lumps, beside elements.
 
-And what parts cost on finer and finer meshes, beside one body of boundary elements and its sparse form, and what
-frames of a body in parts take.
+And what parts cost on finer and finer meshes, beside one body of boundary elements and its sparse form, how far
+their linear answers are from its own, and what frames of a body in parts take.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import gmsh
 import numpy as np
 import tomli_w
 
+from solver_common.arrays import Array, Mask
 from tools.documents import RUNS, table
 from tools.evidence import EVIDENCE, MEASURES, as_per_cent, ran_text, slashed, study_of
 from vdm.constraints import Load
@@ -25,6 +26,8 @@ from vdm.material import Parameters
 from vdm.model import Model
 from vdm.parts.solve import PartsSolver
 from vdm.problem import Step
+from vdm.solvers.linear import LinearSolver
+from vdm.surface import SurfaceMesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.machine import cache_directory
@@ -67,12 +70,18 @@ def _write(path: Path) -> None:
         gmsh.finalize()
 
 
+def _file(name: str) -> Path:
+    """Of a body that no shape of a study is."""
+    BODIES.mkdir(parents=True, exist_ok=True)
+    if not (path := BODIES / name).exists():
+        _write(path)
+    return path
+
+
 def _run(name: str, text: str) -> list[CaseResult]:
     """Its cases; one whose reference ends on the way is compared where that ended."""
-    BODIES.mkdir(parents=True, exist_ok=True)
-    for file in (BODIES / "cup.stl", BODIES / "fork.stl"):
-        if not file.exists():
-            _write(file)
+    for file in ("cup.stl", "fork.stl"):
+        _file(file)
     return ran_text(text, f"parts/{name}", codes=(0, 3), files=BODIES.iterdir()).cases
 
 
@@ -205,6 +214,73 @@ def body(changes: Mapping[str, Any]) -> tuple[Study, Mesh]:
 def costs_page(lines: Sequence[Sequence[str]]) -> str:
     """The coarsest mesh first."""
     return table(COSTS["head"], sorted(lines, key=lambda line: int(line[0])))
+
+
+# --- agreement ---
+
+
+def agreement(_: Sequence[str]) -> Iterator[list[str]]:
+    """A line for each body and weight: how far linear answers are from that of a finer mesh, in per cent.
+
+    That of one body, and those of parts, which are beside that too. The finer mesh has each facet of the same
+    polyhedron in four, and holds the same of it.
+    """
+    own = EVIDENCE["agreement"]
+    for about, (name, weight) in product(own["bodies"], own["weights"].items()):
+        surface, held = _held_over(about)
+        one = _linear(surface, held, weight)
+        finer = _linear(*_in_four(surface, held), weight)[: len(one)]
+        several = [_linear(surface, held, weight, count) for count in own["parts"]]
+        areas = np.sqrt(surface.nodal_areas)[:, None]
+
+        def off(u: Array, other: Array, areas: Array = areas) -> str:
+            return as_per_cent(np.linalg.norm(areas * (u - other)) / np.linalg.norm(areas * other))
+
+        yield [
+            f"{about['name']}, {about['share']}", name, str(len(one)), *(off(u, finer) for u in (one, *several)),
+            *(off(u, one) for u in several),
+        ]  # fmt: skip
+
+
+def _held_over(about: Mapping[str, Any]) -> tuple[SurfaceMesh, Mask]:
+    """A body of the trial, or a ball, and which of its nodes are held from its end along x over a share of it."""
+    given = {"shape": "sphere", "radius": "50 mm"}
+    shape = OWN["bodies"][about["name"]]["geometry"] if about["name"] in OWN["bodies"] else given
+    if "path" in shape:
+        shape = {**shape, "path": str(_file(shape["path"]))}
+    study = merged(COSTS["study"], EVIDENCE["agreement"]["study"])
+    study = Study.model_validate(study | {"geometry": {**shape, "mesh_size": about["mesh"]}})
+    mesh = mesh_from_cache(study.geometry, cache_directory())
+    x = mesh.surface_points[:, 0]
+    return SurfaceMesh(mesh.surface_points, mesh.triangles), x <= x.min() + about["share"] * np.ptp(x)
+
+
+def _in_four(surface: SurfaceMesh, held: Mask) -> tuple[SurfaceMesh, Mask]:
+    """Facets cut at the middles of their edges, which are held where both ends are; new nodes are the last."""
+    (a, b, c), edges = surface.triangles.T, surface.edges
+    ab, bc, ca = (surface.n_nodes + surface.facet_edges).T
+    points = np.vstack([surface.points, surface.points[edges].mean(axis=1)])
+    facets = [np.stack(corners, axis=1) for corners in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    return SurfaceMesh(points, np.concatenate(facets)), np.append(held, held[edges].all(axis=1))
+
+
+def _linear(surface: SurfaceMesh, held: Mask, weight: Sequence[float], count: int = 1) -> Array:
+    """(N, 3) linear answer to a weight of a body in so many parts; one knows its rims as `bem` does."""
+    material = Parameters(shear_modulus=1e4, poisson_ratio=0.49, parts=count)
+    model = Model(
+        surface.points,
+        surface.triangles,
+        material,
+        formulation="bem",
+        solver="nonlinear",
+        fixed=held,
+        density=1e3,
+        gravity=weight,
+    )
+    load = Load(np.zeros(surface.n_nodes))
+    assert isinstance(model.solver, PartsSolver)
+    model.solver.prepare([load], compared=False)
+    return LinearSolver(model.solver.problem, factor=model.solver.factor).step(load).displacement
 
 
 # --- frames ---
