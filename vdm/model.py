@@ -289,8 +289,7 @@ class Model:
     def _of_mesh(self, load: Load, step: Step) -> tuple[float, float]:
         """What the mesh leaves open at the load that a step reached, see `vdm.mesh_error`; NaN of other forms."""
         form = self._solved.formulation
-        has_no_coarse_body = not isinstance(form, BoundaryFormulation) or form.parameters.ground is not None
-        if has_no_coarse_body or not isinstance(self.solver, FactorSolver):
+        if not isinstance(form, BoundaryFormulation) or not isinstance(self.solver, FactorSolver):
             return np.nan, np.nan
         if self._mesh_error is None:
             self._mesh_error = MeshError(self._solved, self.solver.factor)

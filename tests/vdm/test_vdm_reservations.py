@@ -1,5 +1,6 @@
 """What a form and its mesh leave open of an answer, by pure bending and by half the nodes: told beyond a tenth."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ SIDES = (0.04, 0.04, 0.04)
 
 
 def standing(n: int, load: str, **options: Any) -> tuple[Model, Load]:
-    """A cube that stands on its foot, and a load on its top."""
+    """A cube that stands on its foot, or where `sprung` on springs below it, and a load on its top."""
     points, triangles = box(n, SIDES)
     z, fixed = points[:, 2], points[:, 2] < 1e-9
     top = z > SIDES[2] - 1e-9
@@ -32,8 +33,16 @@ def standing(n: int, load: str, **options: Any) -> tuple[Model, Load]:
         prescribed = np.where(top[:, None], [0.001, 0.0, 0.0], 0.0)
     given = {"formulation": "bem"} | options
     material = given.pop("parameters", Parameters(shear_modulus=1667.0))
+    if load == "sprung":
+        on_foot = fixed[triangles].all(axis=1)
+        at = np.repeat(triangles[on_foot], 3, axis=1), np.tile(triangles[on_foot], 3)
+        shares = (np.ones((3, 3)) + np.eye(3)).ravel() / 12.0  # integrals of two shape functions
+        each = SurfaceMesh(points, triangles).facet_areas[on_foot, None] * shares
+        bed = sparse.coo_array((5e5 * each.ravel(), (at[0].ravel(), at[1].ravel())), shape=(len(z), len(z)))
+        material = replace(material, ground=sparse.csr_array(sparse.kron(bed, sparse.eye_array(3))))
+        fixed = None
     model = Model(points, triangles, material, fixed=fixed, **given)
-    if load != "pressed":
+    if load == "moved":
         return model, Load(np.zeros(len(z)), prescribed=prescribed)
     # half of the top, whose edge is an edge of every mesh of an even number of cells
     centres = model.surface.points[triangles].mean(axis=1)
@@ -41,7 +50,7 @@ def standing(n: int, load: str, **options: Any) -> tuple[Model, Load]:
     return model, pressed(model.surface, np.where(on_half, 10.0, 0.0))
 
 
-@pytest.mark.parametrize(("load", "n", "most"), [("pressed", 2, 1.2), ("moved", 3, 2.7)])
+@pytest.mark.parametrize(("load", "n", "most"), [("pressed", 2, 1.2), ("sprung", 2, 2.0), ("moved", 3, 2.7)])
 def test_it_is_as_large_as_the_distance_to_a_finer_mesh(load: str, n: int, most: float) -> None:
     """Half of it and more; nested cubes, so that the nodes of one are those of the other.
 
@@ -77,9 +86,10 @@ def test_the_nonlinear_solver_is_told_what_the_linear_one_is() -> None:
     assert found[0] == pytest.approx(found[1], rel=1e-9)
 
 
-def test_the_change_of_shape_is_told_by_integrals_on_half_of_the_nodes() -> None:
+@pytest.mark.parametrize("load", ["pressed", "sprung"])
+def test_the_change_of_shape_is_told_by_integrals_on_half_of_the_nodes(load: str) -> None:
     """Half of the distance to a mesh twice as fine and more, three times it here: its facets are coarser too."""
-    (coarse, push), (fine, finer_push) = (standing(n, "pressed", solver="nonlinear") for n in (3, 6))
+    (coarse, push), (fine, finer_push) = (standing(n, load, solver="nonlinear") for n in (3, 6))
     solution = coarse.solve([push.scaled(1e-3)])
     surface = coarse.surface
     nearest = np.argmin(np.linalg.norm(surface.points[:, None] - fine.surface.points, axis=2), axis=1)
@@ -109,15 +119,12 @@ def test_a_quarter_of_the_nodes_tells_about_what_half_of_them_do(monkeypatch: py
     assert_allclose(told(), half, rtol=0.4)
 
 
-def test_no_other_form_has_one_nor_a_body_on_springs_nor_a_load_of_nothing() -> None:
+def test_no_other_form_has_one_nor_a_load_of_nothing() -> None:
     points, triangles = icosphere(2, (0.05, 0.05, 0.05))
     nothing, foot = Load(np.zeros(len(points))), points[:, 2] < -0.03
     vector = Model(points, triangles, Parameters(surface_tension=1.0), formulation="vector", fixed=foot)
-    bed = sparse.csr_array(sparse.diags_array(np.repeat(np.where(foot, 1.0, 0.0), 3)))
-    springs = Parameters(shear_modulus=1.0, ground=bed)
-    ground = Model(points, triangles, springs, formulation="bem")
     held = Model(points, triangles, Parameters(shear_modulus=1.0), formulation="bem", fixed=foot)
-    for model in (vector, ground, held):
+    for model in (vector, held):
         solution = model.solve([nothing])
         assert "mesh_error" not in solution.scalars
         assert not solution.status[0].message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -161,7 +162,21 @@ class RoughFormulation(SparseFormulation):
         return self.surface.n_nodes // 8
 
 
-class HalfFormulation(SparseFormulation):
+class _OnSprings(SparseFormulation):
+    """A coarse body on the springs of the fine one, if any: they pull at what it moves of the surface."""
+
+    def __init__(self, surface: SurfaceMesh, parameters: Parameters, held: Mask | None = None) -> None:
+        self._ground = parameters.ground
+        super().__init__(surface, replace(parameters, ground=None), held)
+
+    def _stand_on(self, body: SurfaceMesh, spread: Interpolation, stiffness: Array) -> None:
+        if self._ground is not None:
+            moved = sparse.csr_array(sparse.kron(spread.weights, sparse.eye_array(3)))
+            stiffness = stiffness + (moved.T @ self._ground @ moved).toarray()
+        super()._stand_on(body, spread, stiffness)
+
+
+class HalfFormulation(_OnSprings):
     """On half of the nodes, with integrals of its own; of a large body on half of `coarse_nodes`."""
 
     @property
@@ -169,7 +184,7 @@ class HalfFormulation(SparseFormulation):
         return min(self.surface.n_nodes, super()._most_coarse) // 2
 
 
-class HalvedFormulation(SparseFormulation):
+class HalvedFormulation(_OnSprings):
     """A form of boundary integrals on about half of its nodes, without an integral of its own: S is P^T S P."""
 
     def __init__(self, form: BoundaryFormulation) -> None:
