@@ -130,13 +130,14 @@ def interfaces(mesh: Mesh, inclusions: Sequence[PlacedInclusion]) -> tuple[Index
     pairs = set(map(tuple, np.sort(sides, axis=1).tolist()))
     if len(pairs) != len(regions) - 1:
         around = [{sum(pair) - k for pair in pairs if k in pair} for k in range(len(regions))]
-        of = label[regions]
-        # two that meet, and a third region that meets both
-        numbers = {int(of[k]) for i, j in pairs if around[i] & around[j] for k in (i, j) if of[k] >= 0}
+        circling = set(range(len(regions)))  # regions that lead back to themselves by others
+        while ends := {k for k in circling if len(around[k] & circling) < 2}:
+            circling -= ends
+        numbers = {int(k) for k in label[regions[sorted(circling)]] if k >= 0}
         names = " and ".join(repr(inclusions[k].declared.name) for k in sorted(numbers))
         raise SceneError(
-            f"inclusions touch each other{f' ({names})' if names else ''}, which a model of surfaces has no answer "
-            "for; leave room between them, or use finite elements",
+            f"inclusions touch each other ({names}), which a model of surfaces has no answer for; leave room "
+            "between them, take a smaller mesh_size, or use finite elements",
             "inclusions",
         )
     return faces[first[~alike]], sides, label[regions[1:]]

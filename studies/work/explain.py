@@ -13,6 +13,7 @@ from .. import models
 from ..body.mesh import Mesh
 from ..body.mesh_cache import read_mesh, write_mesh
 from ..machine import machine_memory
+from ..scene.inclusions import interfaces
 from ..scene.measured_points import place_measured
 from ..scene.scene import Scene, build_scene
 from ..scene.warnings import scene_warnings
@@ -240,6 +241,15 @@ def _doubts(case: PlannedCase, scene: Scene) -> list[Finding]:
     ):
         same = "every step is the same, as no factor acts on the weight"
         told.append((("load",), _in_case(f"{same}; leave load out, or sweep gravity.acceleration", case)))
+    surfaces = [name for name in study.study.models if not models.find(name)[0].volumetric]
+    knowing = [
+        name for name in surfaces if name not in study.study.homogeneous and not [*refusals(study, name)]
+    ]
+    if scene.inclusions and knowing:
+        try:
+            interfaces(mesh, scene.inclusions)
+        except InputError as error:
+            told.append((error.place, _in_case(f"{' and '.join(knowing)} will refuse: {error}", case)))
     return told
 
 

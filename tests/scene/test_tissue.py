@@ -135,6 +135,11 @@ def test_boundary_elements_know_a_lump_of_any_modulus(pressed_ball: Hierarchy, r
     [
         ([lump("a", 0.9, 0.4, 10.0)], "'a' reaches the surface of the body"),
         ([lump("a", -0.2, 0.3, 10.0), lump("b", 0.2, 0.3, 5.0)], "inclusions touch each other ('a' and 'b')"),
+        # a shell that falls in pieces, as it is thinner than a tetrahedron
+        (
+            [lump("c", 0.6, 0.25, 2.0), lump("a", -0.2, 0.34, 10.0), lump("b", -0.2, 0.26, 5.0)],
+            "inclusions touch each other ('a' and 'b')",
+        ),
     ],
 )
 def test_a_lump_that_touches_is_refused(lumps: list[dict[str, Any]], told: str) -> None:

@@ -10,7 +10,7 @@ from tests.work.shared_work import TABLES, plan_of
 from vdmbench import models
 from vdmbench.body.mesh_cache import mesh_from_cache
 from vdmbench.study.registry import Size
-from vdmbench.work.explain import summary
+from vdmbench.work.explain import scene_problems, summary
 
 pytestmark = pytest.mark.usefixtures("read_here")
 
@@ -43,6 +43,23 @@ def test_what_cuts_a_body_into_parts_is_not_held_to_the_nodes_of_one(tmp_path: P
     geometry = TABLES["geometry"] | {"mesh_size": 0.001}
     lines = summary(plan_of(tmp_path, tmp_path, study=study, geometry=geometry, uncertainty=None))["refused"]
     assert [line.split()[0] for line in lines] == ["bem"]
+
+
+def test_a_check_tells_who_will_refuse_inclusions_that_touch(tmp_path: Path) -> None:
+    """Of the models that know inclusions those of surfaces; apart they are nothing to tell."""
+    study = {"name": "test", "models": ["bem", "bem:nonlinear", "fem-linear"]}
+    changes = {"geometry": TABLES["geometry"] | {"mesh_size": 0.01}, "sweep": {}, "uncertainty": None}
+    for way, told in (
+        (0.0, ["bem will refuse: inclusions touch each other ('left' and 'right')"]),
+        (0.01, []),
+    ):
+        lumps = [
+            {"name": name, "ball": {"center": [x, 0, 0], "radius": 0.016}, "youngs_modulus": 1e4}
+            for name, x in (("left", -0.014 - way), ("right", 0.014 + way))
+        ]
+        plan = plan_of(tmp_path, tmp_path, study=study, inclusions=lumps, **changes)
+        found = [problem.message for problem in scene_problems(plan)]
+        assert [text.partition(",")[0] for text in found] == told
 
 
 @pytest.mark.parametrize(
