@@ -105,6 +105,19 @@ def scene_warnings(
             )
 
 
+def meshing_warnings(quality: Mapping[str, float], accepted: float) -> Iterator[Finding]:
+    """Of the mesh of a surface from a file: where its volume is another by more than the error that is accepted.
+
+    Reference and models have the same mesh, so that no error of theirs shows it.
+    """
+    change = quality.get("volume_change", 0.0)
+    if abs(change) > accepted:
+        told = (
+            f"changes the volume of the file's surface by {100.0 * change:+.1f} %, which no error here shows"
+        )
+        yield ("geometry", "mesh_size"), f"{told}; take a smaller one"
+
+
 def motion_share(displacement: Array, held: Mask, extent: float) -> float:
     """The largest of (N, 3) displacements [m] over the body's smallest extent [m].
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..machine import plain
 from ..measures import uncertainty
 from ..measures.metrics import VECTOR
-from ..scene.warnings import scene_warnings
+from ..scene.warnings import meshing_warnings, scene_warnings
 from ..study.registry import FINITE_STRAIN, SURFACE, Family, family_of, split
 from .acceptance import (
     BEYOND,
@@ -279,7 +279,8 @@ def _doubts(digest: Digest) -> Iterator[Remark]:
     for _, case in digest.key_cases:
         study, factor = case.study, float(abs(case.load_factors).max())
         about = study.constraints, study.tissue, case.regions, case.points, case.triangles, factor
-        for loc, text in scene_warnings(*about):
+        meshed = meshing_warnings(case.mesh_quality, study.acceptance.displacement_error)
+        for loc, text in (*scene_warnings(*about), *meshed):
             of_constraint = loc[0] == "constraints"
             name = study.constraints[int(loc[1])].name if of_constraint else ".".join(map(str, loc))
             found.setdefault(name, []).append(text)

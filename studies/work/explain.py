@@ -16,7 +16,7 @@ from ..machine import machine_memory
 from ..scene.inclusions import interfaces
 from ..scene.measured_points import place_measured
 from ..scene.scene import Scene, build_scene
-from ..scene.warnings import scene_warnings
+from ..scene.warnings import meshing_warnings, scene_warnings
 from ..study.checks import refusals
 from ..study.config import geometry_error
 from ..study.errors import Finding, InputError, Loc, MeshError, Problem
@@ -232,7 +232,8 @@ def _doubts(case: PlannedCase, scene: Scene) -> list[Finding]:
         max(map(abs, study.load.history)),
         small_strain=reference is not None and split(reference)[0] not in FINITE_STRAIN,
     )
-    told = [(loc, _in_case(text, case)) for loc, text in found]
+    meshed = meshing_warnings(mesh.quality, study.acceptance.displacement_error)
+    told = [(loc, _in_case(text, case)) for loc, text in (*found, *meshed)]
     if not (scene.sags or any(load.acts for load in scene.loads)):
         scan = " but the weight of its scan" if scene.gravity.any() else ""
         told.append((("constraints",), _in_case(f"nothing{scan} loads the body: every answer is zero", case)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.report.runs import icosphere, make_case, make_run
-from vdmbench.scene.warnings import indentation, scene_warnings
+from vdmbench.scene.warnings import indentation, meshing_warnings, scene_warnings
 from vdmbench.study.loads import Constraint
 from vdmbench.study.schema import Tissue
 from vdmbench.verdict.digest import Digest
@@ -132,3 +132,11 @@ def test_the_verdict_tells_them_too() -> None:
     (doubt,) = verdicts(Digest(make_run([dataclasses.replace(case, regions=lone)]))).doubts
     assert doubt.about == "base"
     assert doubt.text.startswith("holds 1 lone node and no facet")
+
+
+def test_a_mesh_that_changes_the_volume_by_more_than_is_accepted_is_doubtful() -> None:
+    assert not list(meshing_warnings({}, 0.1))
+    assert not list(meshing_warnings({"volume_change": -0.09}, 0.1))
+    ((loc, text),) = meshing_warnings({"volume_change": -0.143}, 0.1)
+    assert loc == ("geometry", "mesh_size")
+    assert text.startswith("changes the volume of the file's surface by -14.3 %")
