@@ -306,6 +306,21 @@ def test_no_matrix_of_the_whole_is_made_of_a_body_in_parts() -> None:
     assert "matrix" not in vars(model.formulation)
 
 
+@pytest.mark.parametrize("parts", [None, 1])
+def test_a_body_too_large_for_one_matrix_is_cut_where_its_load_would_not_ask_for_it(
+    parts: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = at_tip(BAR[0], np.array([0.0, 0.0, 1e-6]))
+    assert clamped(BAR, share=0.3).solve([load]).scalars["parts"] == 1
+    monkeypatch.setattr("vdm.peers.bem.MAX_NODES", len(BAR[0]) - 1)
+    large = clamped(BAR, share=0.3, parts=parts)
+    if parts:
+        with pytest.raises(SolverError, match="nodes are more than"):
+            large.solve([load])
+    else:
+        assert large.solve([load]).scalars["parts"] == 2
+
+
 @pytest.mark.parametrize("parts", [1, 4])
 def test_the_pressure_of_a_compressible_body_is_what_its_volume_lost(parts: int) -> None:
     """Under weight too, where the middle of its nodes is not that of its volume."""

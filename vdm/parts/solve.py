@@ -88,10 +88,10 @@ class PartsSolver:
 
             guess = _guess(self._whole)
             count = min(max(self.least, 1 if guess is None else wanted(guess)), MOST_PARTS)
-            self._solver = self._of(count)
+            self._solver = self._fitting(count)
             needed = max(self.least, wanted(LinearSolver(self.problem, factor=self.factor)))
             if min(needed, MOST_PARTS) != count:
-                self._solver = self._of(min(needed, MOST_PARTS))
+                self._solver = self._fitting(min(needed, MOST_PARTS))
             self.body.wanted = needed
         seconds = time.perf_counter() - start
         self._finer_step = None
@@ -229,6 +229,16 @@ class PartsSolver:
         except SolverError:
             return None
         return finer if _parts(finer).n_parts > body.n_parts else None
+
+    def _fitting(self, count: int) -> NonlinearSolver:
+        """Of so many parts, or where one of them has more nodes than a matrix takes of twice as many, or more."""
+        try:
+            return self._of(count)
+        except SolverError as error:
+            if error.status.code != "too-large" or 2 * count > MOST_PARTS:
+                raise
+        self.least = 2 * count
+        return self._fitting(self.least)
 
     def _of(self, count: int) -> NonlinearSolver:
         if count not in self._solvers:
