@@ -19,6 +19,7 @@ from ..scene.scene import SurfaceLoad
 
 TOLERANCE = 1e-4  # of the largest sag, of what the sagged body misses of the measured shape
 _MOST = 40  # steps
+_HALVINGS = 4  # of one
 _REMEMBERED = 10
 
 
@@ -46,11 +47,16 @@ def rest_shape(
     from vdm.solvers.anderson import Anderson
 
     rest, anderson = measured if start is None else start, Anderson(_REMEMBERED)
+    borne, halved = rest, 0
     for _ in range(_MOST):
         try:
             displacement = sag(rest)
         except SolverError as error:
-            raise _no_rest_shape(error.status.message) from error
+            if rest is borne or halved == _HALVINGS:
+                raise _no_rest_shape(error.status.message) from error
+            rest, halved = 0.5 * (borne + rest), halved + 1
+            continue
+        borne, halved = rest, 0
         missed = measured - (rest + displacement)
         if np.abs(missed).max() <= TOLERANCE * np.abs(displacement).max():
             return rest, displacement

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from fem_reference.finite_strain import FiniteStrainProblem
 from solver_common.arrays import Array
 from solver_common.progress import Progress, reported
-from solver_common.solution import Solution, SolverError, Status
+from solver_common.solution import Solution, SolverError, Status, solver_error
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.models.scanned import from_scan, rest_shape
@@ -171,6 +171,26 @@ def test_what_finds_no_rest_shape_says_so_by_name(at_rest: Scene, name: str) -> 
     (status, _) = models.run_model(_scan(at_rest, at_rest.mesh.points), name).status
     assert status.code == "refused"
     assert status.message.startswith(f"{name} finds no rest shape for gravity.scanned")
+
+
+def test_a_step_to_what_is_no_body_is_halved() -> None:
+    measured, tried = np.linspace(1.0, 2.0, 9).reshape(3, 3), list[Array]()
+
+    def sag(rest: Array) -> Array:
+        tried.append(rest)
+        if rest.min() < limit:
+            raise solver_error("bad-mesh", "inverted", "remesh")
+        return 1.5 * rest
+
+    limit = 0.1
+    rest, _ = rest_shape(measured, sag)
+    assert tried[1].min() < 0.0 < tried[2].min()
+    assert_allclose(rest, measured / 2.5, rtol=1e-3, atol=0)
+    tried.clear()
+    limit = 0.99  # all that is off the measured shape
+    with pytest.raises(SolverError, match="scanned one: inverted"):
+        rest_shape(measured, sag)
+    assert len(tried) == 6
 
 
 def test_a_body_without_a_rest_shape_is_an_error() -> None:
