@@ -20,6 +20,7 @@ from ..scene.scene import SurfaceLoad
 TOLERANCE = 1e-4  # of the largest sag, of what the sagged body misses of the measured shape
 _MOST = 40  # steps
 _HALVINGS = 4  # of one
+NONE = "no-rest-shape"  # the code of who knows that there is none
 _REMEMBERED = 10
 
 
@@ -52,7 +53,7 @@ def rest_shape(
         try:
             displacement = sag(rest)
         except SolverError as error:
-            if rest is borne or halved == _HALVINGS:
+            if rest is borne or halved == _HALVINGS or error.status.code == NONE:
                 raise _no_rest_shape(error.status.message) from error
             rest, halved = 0.5 * (borne + rest), halved + 1
             continue
@@ -66,7 +67,7 @@ def rest_shape(
 
 def _no_rest_shape(why: str) -> SolverError:
     return solver_error(
-        "no-rest-shape",
+        NONE,
         f"no rest shape was found that sags into the scanned one: {why}",
         "give a stiffer tissue, bear more of its surface on soft springs (`elastic`), or leave out gravity.scanned",
     )
