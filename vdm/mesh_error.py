@@ -30,6 +30,7 @@ from vdm.solution import SolverError
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdm.surface import SurfaceError, rigid_basis
 
+NO_MOTION = 1e-12  # of the body's size: a displacement as small is rounding
 _Coarse = tuple[LinearSolver, float]
 
 
@@ -97,7 +98,8 @@ class MeshError:
         solver, less = coarse
         weights, rigid = np.sqrt(self._areas), self._rigid
         change, moved = ((weights * u).reshape(-1) for u in (solver.step(load).displacement - fine, fine))
-        if not moved.any():
+        points = self._problem.formulation.surface.points
+        if np.abs(fine).max() <= NO_MOTION * np.ptp(points, axis=0).max():
             return np.nan, np.nan
         off, size = (np.linalg.norm([u, u - rigid @ (rigid.T @ u)], axis=1) for u in (change, moved))
         displacement, shape = off / size / less

@@ -74,6 +74,7 @@ class Metric:
 
 METRICS: dict[str, Metric] = {}
 _NO_LOAD = 1e-12  # of the largest load factor: equal steps of a history differ by rounding
+_NO_MOTION = 1e-12  # of the body's size: a displacement as small is what solvers round
 _LOST = 1e-6  # of a whole: a part as small is lost in what solvers leave open
 
 
@@ -105,12 +106,15 @@ def metric(
 
 
 def _not_at_rest(function: Function) -> Function:
-    """A measure in parts of a whole, NaN at steps without a load: what is left there is rounding over rounding."""
+    """A measure in parts of a whole, NaN at steps where nothing acts or moves: what is left there is rounding."""
 
     @wraps(function)
     def measure(surface: Surface, model: History, *reference: History) -> Array:
         factors = np.abs(model.load_factors)
         rests = (factors <= _NO_LOAD * factors.max()) & (not surface.sags)
+        # a uniform pressure all around, or in a cavity that is full, moves nothing
+        judge = reference[0] if reference else model
+        rests |= judge.largest <= _NO_MOTION * np.ptp(surface.points, axis=0).max()
         return np.where(rests, np.nan, function(surface, model, *reference))
 
     return measure

@@ -337,7 +337,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="42",
+        version="43",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
@@ -348,7 +348,7 @@ for _registered in (
     _surface(
         name="bem-sparse",
         family=Family.PEERS,
-        version="24",
+        version="25",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility", "parts"),
