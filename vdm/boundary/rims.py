@@ -195,9 +195,9 @@ def _cut(triangles: Index, new: Index, points: Array, met: Index) -> Index:
 
 
 def _met(edges: Index, n: int) -> Index:
-    """(n,) the number of walks from each node of `RINGS` steps, each along an edge (k, 2) or none."""
-    pairs = np.unique(np.concatenate([edges, edges[:, ::-1]]), axis=0)
-    beside = sparse.csr_array((np.ones(len(pairs), np.int64), pairs.T), shape=(n, n))
+    """(n,) the number of walks from each node of `RINGS` steps, each along an edge (k, 2; either way) or none."""
+    beside = sparse.csr_array((np.ones(len(edges), np.int64), edges.T), shape=(n, n))
+    beside.data[:] = 1  # an edge of two bodies is one
     met = np.ones(n, np.int64)
     for _ in range(RINGS):
         met = met + beside @ met
