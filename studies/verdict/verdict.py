@@ -17,7 +17,7 @@ import numpy as np
 
 from ..machine import plain
 from ..measures import uncertainty
-from ..measures.metrics import VECTOR
+from ..measures.metrics import VECTOR, full_load_step
 from ..scene.warnings import meshing_warnings, scene_warnings
 from ..study.registry import FINITE_STRAIN, SURFACE, Family, family_of, split
 from .acceptance import (
@@ -36,6 +36,7 @@ from .acceptance import (
 )
 from .advice import OF_ALL_CASES, Advice, Reason, Shortfall, by_interaction, reasons
 from .digest import Digest, Figures, Outside, Unreached, failed_steps, median_known
+from .formatting import short_percent
 from .reading import reading
 
 _WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these that a model has
@@ -292,20 +293,28 @@ def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Remark]:
     """What models and reference say of steps that can be used, and what the numbers of the models say of it.
 
     Of all models where none is chosen: answers that nothing judges have their reservations too. Of messages of one
-    model that differ in a number alone the first is told.
+    model that differ in a number alone the first is told, and of a case's the last. What is said of a smaller load
+    than the whole names it.
     """
     found: dict[tuple[str, str], list[str]] = {}
     for case in digest.cases:
         for name in dict.fromkeys([*(models or digest.models), str(case.reference)]):
             if (result := case.models.get(name)) is None:
                 continue
-            told = [s for s in result.status if s.ok and s.message]
-            messages = ["; ".join(filter(None, (s.message, s.remedy))) for s in told]
+            full = case.load_factors[full_load_step(case.load_factors)]
+            told = [
+                (
+                    "; ".join(filter(None, (status.message, status.remedy))),
+                    "" if abs(factor) == abs(full) else f"at {short_percent(factor / full)} of the load ",
+                )
+                for status, factor in zip(result.status, case.load_factors, strict=True)
+                if status.ok and status.message
+            ]
             own = reading(case, name) if name in models else None
             if own is not None and not own.ok and not failed_steps(result):
-                messages.append(own.message)
+                told.append((own.message, ""))
             # of a history the last two say most
-            for skeleton, message in {_NUMBER.sub("", m): m for m in messages[-2:]}.items():
+            for skeleton, message in {_NUMBER.sub("", m): at + m for m, at in told[-2:]}.items():
                 found.setdefault((name, skeleton), []).append(message)
     for (name, _), messages in found.items():
         yield Remark(name, messages[0], len(messages))

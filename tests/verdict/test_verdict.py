@@ -173,6 +173,18 @@ def test_a_yes_carries_the_reservations_of_model_and_reference(model: str) -> No
     assert set(found.reservations) - set(before) == {Remark(model, "doubtful; take boundary elements", 1)}
 
 
+def test_what_is_said_of_a_part_of_the_load_names_it() -> None:
+    """ "Strained by 95 %" and "by 633 %" stood one below the other, of one model."""
+    case = make_case({MODEL: 0.01}, subdivisions=1)
+    before = verdicts(Digest(make_run([case]))).reservations
+    said = dict(zip(case.load_factors[-2:], ("slightly doubtful", "wrong"), strict=True))
+    assert list(said) == [0.75, 1.0]
+    status = tuple(Status("converged", said.get(factor, "")) for factor in case.load_factors)
+    found = verdicts(Digest(make_run([of_model(case, MODEL, status=status)]))).reservations
+    texts = {one.text for one in set(found) - set(before)}
+    assert texts == {"at 75 % of the load slightly doubtful", "wrong"}
+
+
 def test_answers_that_nothing_judges_have_their_reservations() -> None:
     case = dataclasses.replace(make_case({MODEL: 0.01}, subdivisions=1), reference=None)
     found = verdicts(Digest(make_run([with_status(case, MODEL, "doubtful")])))
