@@ -25,6 +25,8 @@ class Status:
 
 
 CONVERGED = Status("converged")
+NO_REST_SHAPE = "no-rest-shape"  # the code of who knows that a scanned body has none
+NO_MOTION = 1e-12  # of a body's size: a displacement as small is what solvers round
 ENDED = "{} beyond {:.4g} of load step {} (after {} iterations {})"
 RESIDUAL = "the relative residual was {:.1e}"
 

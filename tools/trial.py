@@ -30,6 +30,7 @@ from vdm.solvers.linear import LinearSolver
 from vdm.surface import SurfaceMesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
+from vdmbench.body.refine import Hierarchy, refined
 from vdmbench.machine import cache_directory
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.frame import series, where_reached
@@ -227,11 +228,11 @@ def agreement(_: Sequence[str]) -> Iterator[list[str]]:
     """
     own = EVIDENCE["agreement"]
     for about, (name, weight) in product(own["bodies"], own["weights"].items()):
-        surface, held = _held_over(about)
-        one = _linear(surface, held, weight)
-        finer = _linear(*_in_four(surface, held), weight)[: len(one)]
-        several = [_linear(surface, held, weight, count) for count in own["parts"]]
-        areas = np.sqrt(surface.nodal_areas)[:, None]
+        meshes, held = _held_over(about)
+        coarse = meshes.meshes[0]
+        one, *several = (_linear(coarse, held, weight, count) for count in (1, *own["parts"]))
+        finer = _linear(meshes.finest, meshes.inherit(held), weight)[: len(one)]
+        areas = np.sqrt(SurfaceMesh(coarse.surface_points, coarse.triangles).nodal_areas)[:, None]
 
         def off(u: Array, other: Array, areas: Array = areas) -> str:
             return as_per_cent(np.linalg.norm(areas * (u - other)) / np.linalg.norm(areas * other))
@@ -242,8 +243,8 @@ def agreement(_: Sequence[str]) -> Iterator[list[str]]:
         ]  # fmt: skip
 
 
-def _held_over(about: Mapping[str, Any]) -> tuple[SurfaceMesh, Mask]:
-    """A body of the trial, or a ball, and which of its nodes are held from its end along x over a share of it."""
+def _held_over(about: Mapping[str, Any]) -> tuple[Hierarchy, Mask]:
+    """A body of the trial, or a ball, refined once, and the nodes held from its end along x over a share of it."""
     given = {"shape": "sphere", "radius": "50 mm"}
     shape = OWN["bodies"][about["name"]]["geometry"] if about["name"] in OWN["bodies"] else given
     if "path" in shape:
@@ -252,35 +253,34 @@ def _held_over(about: Mapping[str, Any]) -> tuple[SurfaceMesh, Mask]:
     study = Study.model_validate(study | {"geometry": {**shape, "mesh_size": about["mesh"]}})
     mesh = mesh_from_cache(study.geometry, cache_directory())
     x = mesh.surface_points[:, 0]
-    return SurfaceMesh(mesh.surface_points, mesh.triangles), x <= x.min() + about["share"] * np.ptp(x)
+    return refined(mesh, 1), x <= x.min() + about["share"] * np.ptp(x)
 
 
-def _in_four(surface: SurfaceMesh, held: Mask) -> tuple[SurfaceMesh, Mask]:
-    """Facets cut at the middles of their edges, which are held where both ends are; new nodes are the last."""
-    (a, b, c), edges = surface.triangles.T, surface.edges
-    ab, bc, ca = (surface.n_nodes + surface.facet_edges).T
-    points = np.vstack([surface.points, surface.points[edges].mean(axis=1)])
-    facets = [np.stack(corners, axis=1) for corners in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
-    return SurfaceMesh(points, np.concatenate(facets)), np.append(held, held[edges].all(axis=1))
-
-
-def _linear(surface: SurfaceMesh, held: Mask, weight: Sequence[float], count: int = 1) -> Array:
+def _linear(mesh: Mesh, held: Mask, weight: Sequence[float], count: int = 1) -> Array:
     """(N, 3) linear answer to a weight of a body in so many parts; one knows its rims as `bem` does."""
+    load = Load(np.zeros(len(mesh.surface_nodes)))
     material = Parameters(shear_modulus=1e4, poisson_ratio=0.49, parts=count)
+    solver = _in_parts(mesh, held, material, 1e3 * np.array(weight), [load])
+    return LinearSolver(solver.problem, factor=solver.factor).step(load).displacement
+
+
+def _in_parts(
+    mesh: Mesh, held: Mask, material: Parameters, weight: Array, loads: Sequence[Load]
+) -> PartsSolver:
+    """A body of a weight [N/m^3], ready for loads, without what tells of their errors."""
     model = Model(
-        surface.points,
-        surface.triangles,
+        mesh.surface_points,
+        mesh.triangles,
         material,
         formulation="bem",
         solver="nonlinear",
         fixed=held,
-        density=1e3,
+        density=1.0,
         gravity=weight,
     )
-    load = Load(np.zeros(surface.n_nodes))
     assert isinstance(model.solver, PartsSolver)
-    model.solver.prepare([load], compared=False)
-    return LinearSolver(model.solver.problem, factor=model.solver.factor).step(load).displacement
+    model.solver.prepare(loads, compared=False)
+    return model.solver
 
 
 # --- frames ---
@@ -314,28 +314,17 @@ def frames(_: Sequence[str]) -> Iterator[list[str]]:
     mu = tissue.youngs_modulus / (2.0 * (1.0 + tissue.poisson_ratio))
     material = Parameters(shear_modulus=mu, poisson_ratio=tissue.poisson_ratio, parts=study.vdm.parts)
     for name, (gravity, loads) in histories.items():
-        model = Model(
-            mesh.surface_points,
-            mesh.triangles,
-            material,
-            formulation="bem",
-            solver="nonlinear",
-            fixed=scene.fixed,
-            density=tissue.density,
-            gravity=gravity,
-        )
-        assert isinstance(model.solver, PartsSolver)
-        model.solver.prepare(loads, compared=False)
+        solver = _in_parts(mesh, scene.fixed, material, tissue.density * gravity, loads)
         steps, taken = list[Step](), list[float]()
         for acting in loads:
             start = time.thread_time()
-            steps.append(model.solver.step(acting, steps[-1] if steps else None))
+            steps.append(solver.step(acting, steps[-1] if steps else None))
             _ = steps[-1].reaction_force, steps[-1].energy
             taken.append(time.thread_time() - start)
         moved = np.linalg.norm(steps[0].displacement, axis=1).max()
         corrections = np.mean([step.iterations for step in steps[own["first"] :]])
         yield [
-            name, str(len(mesh.surface_nodes)), f"{model.solver.body.n_parts}", f"{1e3 * moved:.3g} mm",
+            name, str(len(mesh.surface_nodes)), f"{solver.body.n_parts}", f"{1e3 * moved:.3g} mm",
             f"{corrections:.1f}",
             *(quantity(float(of(taken[own["first"] :])), "s") for of in (np.median, np.min, np.max)),
         ]  # fmt: skip

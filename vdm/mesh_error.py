@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from solver_common.arrays import Array
+from solver_common.solution import NO_MOTION
 from vdm.constraints import Load
 from vdm.peers.bem import BoundaryFormulation
 from vdm.peers.bem_sparse import HalfFormulation, HalvedFormulation, SparseFormulation
@@ -30,7 +31,6 @@ from vdm.solution import SolverError
 from vdm.solvers.linear import BorderedFactor, LinearSolver
 from vdm.surface import SurfaceError, rigid_basis
 
-NO_MOTION = 1e-12  # of the body's size: a displacement as small is rounding
 _Coarse = tuple[LinearSolver, float]
 
 

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from solver_common.arrays import Array, Mask
+from solver_common.solution import NO_MOTION
 
 from ..body.nearest import distances_and_farthest
 from ..body.surface_measures import (
@@ -74,7 +75,6 @@ class Metric:
 
 METRICS: dict[str, Metric] = {}
 _NO_LOAD = 1e-12  # of the largest load factor: equal steps of a history differ by rounding
-_NO_MOTION = 1e-12  # of the body's size: a displacement as small is what solvers round
 _LOST = 1e-6  # of a whole: a part as small is lost in what solvers leave open
 
 
@@ -114,7 +114,7 @@ def _not_at_rest(function: Function) -> Function:
         rests = (factors <= _NO_LOAD * factors.max()) & (not surface.sags)
         # a uniform pressure all around, or in a cavity that is full, moves nothing
         judge = reference[0] if reference else model
-        rests |= judge.largest <= _NO_MOTION * np.ptp(surface.points, axis=0).max()
+        rests |= judge.largest <= NO_MOTION * np.ptp(surface.points, axis=0).max()
         return np.where(rests, np.nan, function(surface, model, *reference))
 
     return measure

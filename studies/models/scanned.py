@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from solver_common.arrays import Array
-from solver_common.solution import Solution, SolverError, solver_error
+from solver_common.solution import NO_REST_SHAPE, Solution, SolverError, solver_error
 
 from ..scene.result import REST_DISTANCE
 from ..scene.scene import SurfaceLoad
@@ -20,7 +20,6 @@ from ..scene.scene import SurfaceLoad
 TOLERANCE = 1e-4  # of the largest sag, of what the sagged body misses of the measured shape
 _MOST = 40  # steps
 _HALVINGS = 4  # of one
-NONE = "no-rest-shape"  # the code of who knows that there is none
 _REMEMBERED = 10
 
 
@@ -53,7 +52,7 @@ def rest_shape(
         try:
             displacement = sag(rest)
         except SolverError as error:
-            if rest is borne or halved == _HALVINGS or error.status.code == NONE:
+            if rest is borne or halved == _HALVINGS or error.status.code == NO_REST_SHAPE:
                 raise _no_rest_shape(error.status.message) from error
             rest, halved = 0.5 * (borne + rest), halved + 1
             continue
@@ -67,7 +66,7 @@ def rest_shape(
 
 def _no_rest_shape(why: str) -> SolverError:
     return solver_error(
-        NONE,
+        NO_REST_SHAPE,
         f"no rest shape was found that sags into the scanned one: {why}",
         "give a stiffer tissue, bear more of its surface on soft springs (`elastic`), or leave out gravity.scanned",
     )

@@ -15,6 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from solver_common.arrays import Array
+from solver_common.solution import Status
+
 from ..machine import plain
 from ..measures import uncertainty
 from ..measures.metrics import VECTOR, full_load_step
@@ -301,15 +304,7 @@ def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Remark]:
         for name in dict.fromkeys([*(models or digest.models), str(case.reference)]):
             if (result := case.models.get(name)) is None:
                 continue
-            full = case.load_factors[full_load_step(case.load_factors)]
-            told = [
-                (
-                    "; ".join(filter(None, (status.message, status.remedy))),
-                    "" if abs(factor) == abs(full) else f"at {short_percent(factor / full)} of the load ",
-                )
-                for status, factor in zip(result.status, case.load_factors, strict=True)
-                if status.ok and status.message
-            ]
+            told = _of_steps(case.load_factors, result.status)
             own = reading(case, name) if name in models else None
             if own is not None and not own.ok and not failed_steps(result):
                 told.append((own.message, ""))
@@ -318,6 +313,19 @@ def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Remark]:
                 found.setdefault((name, skeleton), []).append(message)
     for (name, _), messages in found.items():
         yield Remark(name, messages[0], len(messages))
+
+
+def _of_steps(factors: Array, status: Sequence[Status]) -> list[tuple[str, str]]:
+    """What was said of steps that can be used, and before it of which load where that is less than the whole."""
+    full = factors[full_load_step(factors)]
+    return [
+        (
+            "; ".join(filter(None, (one.message, one.remedy))),
+            "" if abs(factor) == abs(full) else f"at {short_percent(factor / full)} of the load ",
+        )
+        for one, factor in zip(status, factors, strict=True)
+        if one.ok and one.message
+    ]
 
 
 # --- how sure, and what was measured ---

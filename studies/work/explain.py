@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -242,16 +242,26 @@ def _doubts(case: PlannedCase, scene: Scene) -> list[Finding]:
     ):
         same = "every step is the same, as no factor acts on the weight"
         told.append((("load",), _in_case(f"{same}; leave load out, or sweep gravity.acceleration", case)))
-    surfaces = [name for name in study.study.models if not models.find(name)[0].volumetric]
-    knowing = [
-        name for name in surfaces if name not in study.study.homogeneous and not [*refusals(study, name)]
-    ]
-    if scene.inclusions and knowing:
-        try:
-            interfaces(mesh, scene.inclusions)
-        except InputError as error:
-            told.append((error.place, _in_case(f"{' and '.join(knowing)} will refuse: {error}", case)))
+    if scene.inclusions:
+        told += _touching(case, scene)
     return told
+
+
+def _touching(case: PlannedCase, scene: Scene) -> Iterator[Finding]:
+    """Which surface models will refuse inclusions that touch."""
+    study = case.study
+    knowing = [
+        name
+        for name in study.study.models
+        if not (
+            models.find(name)[0].volumetric or name in study.study.homogeneous or any(refusals(study, name))
+        )
+    ]
+    try:
+        if knowing:
+            interfaces(scene.mesh, scene.inclusions)
+    except InputError as error:
+        yield error.place, _in_case(f"{' and '.join(knowing)} will refuse: {error}", case)
 
 
 def _scene(plan: Plan, case: PlannedCase, mesh: Mesh) -> Scene:

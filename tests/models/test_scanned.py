@@ -114,9 +114,9 @@ BALL = {
 }
 
 
-@pytest.mark.parametrize(("body", "parts"), [(ORGAN, 2), (BOX, 2), (BALL, 1)])
+@pytest.mark.parametrize(("body", "parts", "least"), [(ORGAN, 2, 0.02), (BOX, 2, 0.02), (BALL, 1, 0.005)])
 def test_a_body_is_recovered_as_its_rest_shape_is_cut(
-    body: dict[str, Any], parts: int, monkeypatch: pytest.MonkeyPatch
+    body: dict[str, Any], parts: int, least: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Cut as its scan is, an organ's sag was 2 % off; a symmetric body's, cut where rounding led, 0.2 %.
 
@@ -137,7 +137,7 @@ def test_a_body_is_recovered_as_its_rest_shape_is_cut(
     mesh = dataclasses.replace(known.mesh, points=_sagged(known, "bem:nonlinear"))
     models.run_model(build_scene(scanned, mesh, known.regions), "bem:nonlinear")
     sag = straight.displacement[0]
-    assert np.abs(sag).max() > 0.005
+    assert np.abs(sag).max() > least
     assert_allclose(found[0], sag, rtol=0, atol=1e-3 * np.abs(sag).max())
 
 

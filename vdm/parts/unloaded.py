@@ -19,6 +19,7 @@ import numpy as np
 from scipy import linalg
 
 from solver_common.arrays import Array
+from solver_common.solution import NO_REST_SHAPE
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, best_rotation
 from vdm.parts.body import BORDER, TURNED, Parts, inverse_inertia, turned_block
@@ -29,7 +30,7 @@ from vdm.peers.bem import moments, turned_back
 from vdm.solution import SolverError, Status
 from vdm.solvers.nonlinear import Balance, DeformedStep, NonlinearSolver
 
-NO_REST_SHAPE = "beyond {:.0f} % of its weight the scan cannot be undone"
+NOT_UNDONE = "beyond {:.0f} % of its weight the scan cannot be undone"
 REMEDY = "give a stiffer tissue, or leave out gravity.scanned"
 
 
@@ -249,7 +250,7 @@ class Unloading:
         step = back.step(self._load)
         assert isinstance(step, DeformedStep)
         if step.balance is None or not step.status.ok:
-            raise SolverError(Status("no-rest-shape", NO_REST_SHAPE.format(100 * step.reached), REMEDY))
+            raise SolverError(Status(NO_REST_SHAPE, NOT_UNDONE.format(100 * step.reached), REMEDY))
         self._balance = step.balance
         rest = seen + self._balance.x
         far = float(np.abs(rest - points)[:n].max())
