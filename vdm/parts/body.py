@@ -52,7 +52,8 @@ from vdm.surface import SurfaceMesh
 MOST_TURN = np.radians(10.0)
 SAME_TURN = 0.01  # change of a rotation that a correction does not mind: a factor is made anew beyond it
 MOST_LEFT = 0.2  # of what lacks: a slope that leaves more is made anew
-FINEST = 16  # parts that the spread of rotations is read from
+HALVINGS = 4  # of a body, into pieces that the spread of rotations is read from
+FEWEST = 20  # nodes of such a piece: as many as the smallest part has beside those of its caps
 # of the surface's area: its strain is below that of the rest, which grows at rims without limit on finer meshes
 MOST_AREA = 0.99
 LARGEST_STRAIN = 0.1
@@ -724,8 +725,20 @@ def _rim(surface: SurfaceMesh, held: Mask) -> Mask | None:
 
 
 def pieces_of(surface: SurfaceMesh) -> list[Index]:
-    """Nodes of `FINEST` pieces of a surface, and of caps between them."""
-    return list(map(np.unique, cut(surface.points, surface.triangles, FINEST, is_rough=True).parts))
+    """Nodes of pieces of a surface: halves by area across their longest axes, of these again, and so on."""
+    pieces = [np.arange(surface.n_nodes)]
+    for _ in range(HALVINGS):
+        pieces = [half for nodes in pieces for half in _halves(surface, nodes)]
+    return pieces
+
+
+def _halves(surface: SurfaceMesh, nodes: Index) -> list[Index]:
+    areas, points = surface.nodal_areas[nodes], surface.points[nodes]
+    arms = points - areas @ points / areas.sum()
+    along = np.argsort(arms @ np.linalg.eigh((areas[:, None] * arms).T @ arms)[1][:, 2])
+    middle = int(np.searchsorted(np.cumsum(areas[along]), 0.5 * areas.sum()))
+    few = min(middle, len(nodes) - middle) < FEWEST
+    return [nodes] if few else [nodes[along[:middle]], nodes[along[middle:]]]
 
 
 def parts_wanted(surface: SurfaceMesh, pieces: list[Index], displacement: Array) -> int:
@@ -739,8 +752,7 @@ def parts_wanted(surface: SurfaceMesh, pieces: list[Index], displacement: Array)
 
 
 def _small_rotation(surface: SurfaceMesh, nodes: Index, displacement: Array) -> Array:
-    """(3,) rotation vector that best fits the motion of some nodes, by area; those inside the body are left out."""
-    nodes = nodes[nodes < surface.n_nodes]
+    """(3,) rotation vector that best fits the motion of some nodes, by area."""
     area = surface.nodal_areas[nodes][:, None]
     arms = surface.points[nodes] - (area * surface.points[nodes]).sum(axis=0) / area.sum()
     moved = (area * np.cross(arms, displacement[nodes])).sum(axis=0)

@@ -25,13 +25,12 @@ class CutError(ValueError):
     """Loops that no cap fills; the message says why."""
 
 
-def cap(points: Array, loops: list[Index], normal: Array, *, is_rough: bool = False) -> tuple[Array, Index]:
+def cap(points: Array, loops: list[Index], normal: Array) -> tuple[Array, Index]:
     """New nodes (k, 3), and facets (C, 3) that close loops of `points` (N, 3); a new node j has the number N + j.
 
     A facet's edge on a loop runs against the loop. Seen along `normal`, loops are paired by nesting: what lies
     inside an odd number of them is filled. New nodes stand in a lattice of the loops' mean edge, finer where a cap
-    is narrower, and are lifted out of the plane as a harmonic function of the loops' own heights. A rough cap has
-    its lattice as it is, flat, in half of the time.
+    is narrower, and are lifted out of the plane as a harmonic function of the loops' own heights.
 
     Raises
     ------
@@ -50,23 +49,22 @@ def cap(points: Array, loops: list[Index], normal: Array, *, is_rough: bool = Fa
     border = points[nodes] @ axes
     size = float(np.linalg.norm(border[edges[:, 1]] - border[edges[:, 0]], axis=1).mean())
     for width in size * FINER:
-        inner, triangles = _filled(border, edges, width, 0 if is_rough else SMOOTHINGS)
+        inner, triangles = _filled(border, edges, width)
         # each piece of a cap has a node inside: by that the volumes of the parts beside it are apart
         if np.bincount(closed_pieces(triangles), (triangles >= len(border)).any(axis=1)).all():
             break
     else:
         raise CutError("a cap of the cut has no room for a node")
-    heights, count = points[nodes] @ normal, len(border) + len(inner)
-    heights = np.full(count, heights.mean()) if is_rough else _harmonic(triangles, heights, count)
+    heights = _harmonic(triangles, points[nodes] @ normal, len(border) + len(inner))
     lifted = inner @ axes.T + heights[len(border) :, None] * normal
     numbers = np.concatenate([nodes, len(points) + np.arange(len(inner))])
     return lifted, numbers[triangles]
 
 
-def _filled(border: Array, edges: Index, size: float, smoothings: int) -> tuple[Array, Index]:
+def _filled(border: Array, edges: Index, size: float) -> tuple[Array, Index]:
     """Nodes (k, 2) of this mesh size inside the loops of `border` (n, 2), and triangles (C, 3) of all n + k."""
     inner = _lattice(border, edges, size)
-    for _ in range(smoothings):
+    for _ in range(SMOOTHINGS):
         if not len(inner):
             break
         links = _links(_delaunay(np.vstack([border, inner])), len(border) + len(inner))

@@ -59,14 +59,11 @@ class Cut:
         return Cut(points, tuple(parts), self.refused, ends, self.parts)
 
 
-def cut(
-    points: Array, triangles: Index, count: int, apart: Mask | None = None, *, is_rough: bool = False
-) -> Cut:
+def cut(points: Array, triangles: Index, count: int, apart: Mask | None = None) -> Cut:
     """Cut the closed surface of N nodes into at least `count` parts, the largest first.
 
     A fork may fall into more. Where no plane serves, fewer are made, and `Cut.refused` says why. `apart` (N,) marks
-    nodes that a cut keeps `AWAY` from where a plane allows it, else as far as it can: rims of supports. Of a
-    rough cut only the pieces of the surface are looked at: its caps are rough and may cross the surface.
+    nodes that a cut keeps `AWAY` from where a plane allows it, else as far as it can: rims of supports.
     """
     parts, refused = [triangles], ""
     surface = np.asarray(points, np.float64)
@@ -75,7 +72,7 @@ def cut(
         order = sorted(range(len(parts)), key=lambda k: -len(parts[k]))
         for largest in (k for k in order if k not in final):
             try:
-                surface, pieces = _halved(surface, parts[largest], apart, is_rough)
+                surface, pieces = _halved(surface, parts[largest], apart)
             except CutError as error:
                 refused = f"{error}"
                 parts[largest], final = parts[largest], final | {largest}
@@ -88,7 +85,7 @@ def cut(
     return Cut(surface, tuple(parts))
 
 
-def _halved(points: Array, triangles: Index, apart: Mask | None, is_rough: bool) -> tuple[Array, list[Index]]:
+def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array, list[Index]]:
     """The points with those of the caps, and the pieces of a part cut across its longest axis.
 
     Raises
@@ -132,7 +129,7 @@ def _halved(points: Array, triangles: Index, apart: Mask | None, is_rough: bool)
 
     for loops, labels in borders():
         try:
-            return _closed(points, triangles, labels, loops, normal, is_rough)
+            return _closed(points, triangles, labels, loops, normal)
         except CutError as error:
             refused.append(error)
     raise refused[0]
@@ -150,16 +147,15 @@ def _edges_to(triangles: Index, loops: list[Index], apart: Mask, n: int) -> int:
 
 
 def _closed(
-    points: Array, triangles: Index, labels: Mask, loops: list[Index], normal: Array, is_rough: bool
+    points: Array, triangles: Index, labels: Mask, loops: list[Index], normal: Array
 ) -> tuple[Array, list[Index]]:
-    new, facets = cap(points, loops, normal, is_rough=is_rough)
+    new, facets = cap(points, loops, normal)
     grown = np.vstack([points, new])
     border = np.concatenate([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops])
     n = len(points)
     if (_keys(facets, n) - _keys(border, n)) & _keys(triangles, n):
         raise CutError("caps of the cut have an edge of the surface")
-    if not is_rough:
-        _check_inside(grown, triangles, border, facets, n)
+    _check_inside(grown, triangles, border, facets, n)
     sides = (np.vstack([triangles[~labels], facets]), np.vstack([triangles[labels], facets[:, ::-1]]))
     pieces = [piece for side in sides for piece in _bodies(grown, side)]
     if min(map(len, pieces)) < SMALLEST:
