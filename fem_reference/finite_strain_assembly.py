@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTet
 
@@ -68,6 +69,9 @@ class ElementAssembly:
         length = mesh.mean_edge
         self._barycentric_gradients = mesh.barycentric_gradients * length
         self._weights = (mesh.volumes / length**3)[:, None] * (6.0 * weights)
+        # Tetrahedra whose first nodes are near in number share blocks, which then are still in the cache.
+        order = np.argsort(mesh.element_nodes.min(axis=1), kind="stable")
+        self._parts = [order[part] for part in chunks(len(order), _CHUNK)]
 
     def forces(self, displacement: Array, pressure: Array) -> Forces:
         """Internal forces for (n_nodes, 3) displacements and (n,) pressures p."""
@@ -75,7 +79,7 @@ class ElementAssembly:
         nodal = np.zeros((mesh.n_nodes, 3))
         volume = np.zeros(mesh.n_pressures)
         least = np.inf
-        for part in self._parts():
+        for part in self._parts:
             k = self._kinematics(part, displacement)
             least = min(least, 1.0 + float(k.dilation.min()))
             if not least > 0.0:
@@ -84,8 +88,9 @@ class ElementAssembly:
             factor = weights * self._stiffness[part, None]
             stress = self.law.stress(k, self._at_points(part, pressure)) * factor[..., None, None]
             # P : grad N = (P G^T) : reference gradient, G the constant barycentric gradients
-            pulled = stress @ np.swapaxes(self._barycentric_gradients[part], 1, 2)[:, None]
             count = len(weights)
+            axes = np.swapaxes(self._barycentric_gradients[part], 1, 2)
+            pulled = (stress.reshape(count, -1, 3) @ axes).reshape(stress.shape)
             local = self._to_gradient @ pulled.swapaxes(2, 3).reshape(count, -1, 3)
             nodal += mesh.summed(mesh.element_nodes[part], local)
             shares = (weights * k.dilation) @ self._barycentric
@@ -108,16 +113,17 @@ class ElementAssembly:
         """
         stiffness = np.zeros((self.pattern.size, 3, 3))
         divergence = np.zeros((self.coupling.size, 1, 3))
-        for part in self._parts():
+        for part in self._parts:
             k = self._kinematics(part, displacement)
             tangent = self.law.tangent(k, self._at_points(part, pressure))
             weights = self._weights[part] * self._stiffness[part, None]
             _add_products(
                 stiffness,
                 divergence,
-                self.pattern.place[part],
-                self.coupling.place[part],
-                self._barycentric_gradients[part],
+                part,
+                self.pattern.place,
+                self.coupling.place,
+                self._barycentric_gradients,
                 self._table,
                 k.inverse,
                 weights[..., None, None] * tangent.metric,
@@ -129,6 +135,7 @@ class ElementAssembly:
                 elasticity = weights[..., None, None] * tangent.elasticity
                 matrices = self._elastic(part, k.deformation_gradient, elasticity)
                 _add(stiffness, self.pattern.place[part], matrices)
+        _complete(stiffness, self.pattern.indptr, self.pattern.indices)
         return stiffness, divergence
 
     def strain_energy(self, displacement: Array) -> float:
@@ -140,7 +147,7 @@ class ElementAssembly:
     def pressure_integral(self, displacement: Array, pressure: Array) -> float:
         """Integral of -tr(Cauchy stress)/3 over the deformed body."""
 
-        def trace(part: slice) -> Array:
+        def trace(part: Index) -> Array:
             k = self._kinematics(part, displacement)
             stress = self.law.stress(k, self._at_points(part, pressure))
             work = np.einsum("eqij,eqij->eq", stress, k.deformation_gradient)
@@ -154,16 +161,18 @@ class ElementAssembly:
 
     def largest(self, displacement: Array) -> tuple[float, Array]:
         """Largest |det F - 1|, and the (m, Q) largest principal Green-Lagrange strains at the quadrature points."""
-        deviation, strains = -np.inf, []
-        for part in self._parts():
+        deviation, strains = -np.inf, np.empty_like(self._weights)
+        for part in self._parts:
             k = self._kinematics(part, displacement)
             deviation = max(deviation, float(np.abs(k.dilation).max()))
-            strains.append(0.5 * np.linalg.eigvalsh(k.doubled_strain)[..., -1])
-        return deviation, np.concatenate(strains)
+            strains[part] = 0.5 * np.linalg.eigvalsh(k.doubled_strain)[..., -1]
+        return deviation, strains
 
     def least_volume_ratio(self, displacement: Array) -> tuple[float, Array]:
         """Least det F at the quadrature points, and that point in the undeformed body, (3,) [m]."""
-        ratios = np.concatenate([self._kinematics(part, displacement).dilation for part in self._parts()])
+        ratios = np.empty_like(self._weights)
+        for part in self._parts:
+            ratios[part] = self._kinematics(part, displacement).dilation
         cell, point = np.unravel_index(ratios.argmin(), ratios.shape)
         corners = self.mesh.points[self.mesh.tetrahedra[cell]]
         return 1.0 + float(ratios[cell, point]), self._barycentric[point] @ corners
@@ -173,7 +182,7 @@ class ElementAssembly:
         """(m, Q) undeformed volumes that the quadrature points stand for, in units of the mean edge cubed."""
         return self._weights
 
-    def _elastic(self, part: slice, deformation: Array, elasticity: Array) -> Array:
+    def _elastic(self, part: Index, deformation: Array, elasticity: Array) -> Array:
         """(e, 3, n, 3, n) element matrices of the (e, q, 6, 6) elasticity with weights in it."""
         count, points = elasticity.shape[:2]
         gradients = np.tensordot(self._barycentric_gradients[part], self._table[..., :points], (1, 0))
@@ -183,31 +192,27 @@ class ElementAssembly:
         matrices = np.swapaxes(strains.reshape(count, -1, width), 1, 2) @ weighted
         return np.asarray(matrices.reshape(count, 3, width // 3, 3, width // 3))
 
-    def _kinematics(self, part: slice, displacement: Array) -> Kinematics:
+    def _kinematics(self, part: Index, displacement: Array) -> Kinematics:
         local = np.swapaxes(displacement[self.mesh.element_nodes[part]], 1, 2)
         count = len(local)
         by_coordinate = (local @ self._to_gradient).reshape(count, -1, 3)
         gradient = (by_coordinate @ self._barycentric_gradients[part]).reshape(count, 3, -1, 3)
         return Kinematics(np.ascontiguousarray(np.swapaxes(gradient, 1, 2)))
 
-    def _at_points(self, part: slice, pressure: Array) -> Array:
+    def _at_points(self, part: Index, pressure: Array) -> Array:
         """(e, q) pressures in units of each tetrahedron's own shear modulus."""
         local = pressure[self.mesh.pressure_elements[part]] / self._stiffness[part, None]
         return np.asarray(local @ self._barycentric.T)
 
-    def _integral(self, integrand: Callable[[slice], Array]) -> float:
-        return sum(
-            float(np.einsum("eq,eq->", self._weights[part], integrand(part))) for part in self._parts()
-        )
-
-    def _parts(self) -> list[slice]:
-        return chunks(len(self._weights), _CHUNK)
+    def _integral(self, integrand: Callable[[Index], Array]) -> float:
+        return sum(float(np.einsum("eq,eq->", self._weights[part], integrand(part))) for part in self._parts)
 
 
 @compiled
 def _add_products(
     stiffness: Array,
     divergence: Array,
+    part: Index,
     place: Index,
     coupling: Index,
     axes: Array,
@@ -220,20 +225,23 @@ def _add_products(
 ) -> None:
     """Add the first three terms of `Tangent` and the couplings of some elements to the blocks at their places.
 
-    `table` is (3, n, _LANES), the reference gradients, `axes` (e, 3, 3), those of the reference coordinates;
-    `inverse` (e, q, 3, 3) is F^-1; weights are in the factors and in the (e, q, 4) shares of the pressures.
+    `part` are the (e,) numbers of the elements in `place`, `coupling` and `axes`, of all elements; the other arrays
+    are theirs. `table` is (3, n, _LANES), the reference gradients, `axes` (m, 3, 3), those of the reference
+    coordinates; `inverse` (e, q, 3, 3) is F^-1; weights are in the factors and in the (e, q, 4) shares of the
+    pressures. Of a pair of nodes the first in the element gets the block, `_complete` does the rest.
+
+    No views of arrays in the inner loops: numba counts references to each, which takes longer than the products.
     """
     elements, points = crossed.shape
     width = table.shape[1]
     # Each holds all points of one component, with zeros after the last point.
-    at_points = np.zeros((3, 3, 3, _LANES))
-    pulling, stretching, factors = at_points[0], at_points[1], at_points[2, 0]
-    shares = np.zeros((4, _LANES))
+    pulling, stretching = np.zeros((3, 3, _LANES)), np.zeros((3, 3, _LANES))
+    factors, shares = np.zeros((2, _LANES)), np.zeros((4, _LANES))
     shape = (width, 3, _LANES)
     gradient, spatial, stretched = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     crossing, dilating = np.zeros(shape), np.zeros(shape)
-    block = np.empty((3, 3))
     for e in range(elements):
+        of = part[e]
         for q in range(points):
             factors[0, q], factors[1, q] = crossed[e, q], dilational[e, q]
             for i in range(3):
@@ -245,69 +253,88 @@ def _add_products(
             for i in range(3):
                 for q in range(_LANES):
                     gradient[a, i, q] = (
-                        axes[e, 0, i] * table[0, a, q]
-                        + axes[e, 1, i] * table[1, a, q]
-                        + axes[e, 2, i] * table[2, a, q]
+                        axes[of, 0, i] * table[0, a, q]
+                        + axes[of, 1, i] * table[1, a, q]
+                        + axes[of, 2, i] * table[2, a, q]
                     )
-            x, y, z = gradient[a]
             for i in range(3):
                 for q in range(_LANES):
-                    pulled = pulling[0, i, q] * x[q] + pulling[1, i, q] * y[q] + pulling[2, i, q] * z[q]
+                    x, y, z = gradient[a, 0, q], gradient[a, 1, q], gradient[a, 2, q]
+                    pulled = pulling[0, i, q] * x + pulling[1, i, q] * y + pulling[2, i, q] * z
                     spatial[a, i, q] = pulled
                     crossing[a, i, q] = factors[0, q] * pulled
                     dilating[a, i, q] = factors[1, q] * pulled
                     stretched[a, i, q] = (
-                        stretching[i, 0, q] * x[q] + stretching[i, 1, q] * y[q] + stretching[i, 2, q] * z[q]
+                        stretching[i, 0, q] * x + stretching[i, 1, q] * y + stretching[i, 2, q] * z
                     )
         for a in range(width):
             for b in range(a, width):
-                _pair(stretched[a], crossing[a], dilating[a], gradient[b], spatial[b], block)
-                at, mirrored = stiffness[place[e, a * width + b]], stiffness[place[e, b * width + a]]
-                for i in range(3):
-                    for k in range(3):
-                        at[i, k] += block[i, k]
-                        if a != b:  # symmetric
-                            mirrored[k, i] += block[i, k]
+                at = place[of, a * width + b]
+                _add_pair(stiffness, at, a, b, stretched, crossing, dilating, gradient, spatial)
         for row in range(4):
             for a in range(width):
                 for i in range(3):
                     total = 0.0
                     for q in range(_LANES):
                         total += shares[row, q] * spatial[a, i, q]
-                    divergence[coupling[e, row * width + a], 0, i] += total
+                    divergence[coupling[of, row * width + a], 0, i] += total
 
 
 @compiled
-def _pair(stretched: Array, c: Array, d: Array, gradient: Array, s: Array, block: Array) -> None:
-    """The (3, 3) block of a pair of nodes, by one pass over their (3, _LANES) products: written out for speed."""
+def _add_pair(
+    sums: Array, at: int, a: int, b: int, stretched: Array, c: Array, d: Array, gradient: Array, s: Array
+) -> None:
+    """Add the block of nodes a and b, by one pass over their (3, _LANES) products: written out for speed."""
     xx = xy = xz = yx = yy = yz = zx = zy = zz = scalar = 0.0
     for q in range(_LANES):
-        scalar += stretched[0, q] * gradient[0, q] + stretched[1, q] * gradient[1, q]
-        scalar += stretched[2, q] * gradient[2, q]
-        xx += (c[0, q] + d[0, q]) * s[0, q]
-        xy += d[0, q] * s[1, q] + c[1, q] * s[0, q]
-        xz += d[0, q] * s[2, q] + c[2, q] * s[0, q]
-        yx += d[1, q] * s[0, q] + c[0, q] * s[1, q]
-        yy += (c[1, q] + d[1, q]) * s[1, q]
-        yz += d[1, q] * s[2, q] + c[2, q] * s[1, q]
-        zx += d[2, q] * s[0, q] + c[0, q] * s[2, q]
-        zy += d[2, q] * s[1, q] + c[1, q] * s[2, q]
-        zz += (c[2, q] + d[2, q]) * s[2, q]
-    block[0, 0], block[0, 1], block[0, 2] = xx + scalar, xy, xz
-    block[1, 0], block[1, 1], block[1, 2] = yx, yy + scalar, yz
-    block[2, 0], block[2, 1], block[2, 2] = zx, zy, zz + scalar
+        scalar += stretched[a, 0, q] * gradient[b, 0, q] + stretched[a, 1, q] * gradient[b, 1, q]
+        scalar += stretched[a, 2, q] * gradient[b, 2, q]
+        xx += (c[a, 0, q] + d[a, 0, q]) * s[b, 0, q]
+        xy += d[a, 0, q] * s[b, 1, q] + c[a, 1, q] * s[b, 0, q]
+        xz += d[a, 0, q] * s[b, 2, q] + c[a, 2, q] * s[b, 0, q]
+        yx += d[a, 1, q] * s[b, 0, q] + c[a, 0, q] * s[b, 1, q]
+        yy += (c[a, 1, q] + d[a, 1, q]) * s[b, 1, q]
+        yz += d[a, 1, q] * s[b, 2, q] + c[a, 2, q] * s[b, 1, q]
+        zx += d[a, 2, q] * s[b, 0, q] + c[a, 0, q] * s[b, 2, q]
+        zy += d[a, 2, q] * s[b, 1, q] + c[a, 1, q] * s[b, 2, q]
+        zz += (c[a, 2, q] + d[a, 2, q]) * s[b, 2, q]
+    sums[at, 0, 0] += xx + scalar
+    sums[at, 0, 1] += xy
+    sums[at, 0, 2] += xz
+    sums[at, 1, 0] += yx
+    sums[at, 1, 1] += yy + scalar
+    sums[at, 1, 2] += yz
+    sums[at, 2, 0] += zx
+    sums[at, 2, 1] += zy
+    sums[at, 2, 2] += zz + scalar
 
 
 @compiled
 def _add(sums: Array, place: Index, matrices: Array) -> None:
-    """Add (e, 3, n, 3, n) element matrices to (size, 3, 3) blocks at (e, n n) places."""
+    """Add (e, 3, n, 3, n) symmetric element matrices to blocks at (e, n n) places, as `_add_products` does."""
     elements, _, width, _, _ = matrices.shape
     for e in range(elements):
         for i in range(3):
             for a in range(width):
                 for k in range(3):
-                    for b in range(width):
+                    for b in range(a, width):
                         sums[place[e, a * width + b], i, k] += matrices[e, i, a, k, b]
+
+
+@compiled
+def _complete(sums: Array, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
+    """Make a matrix of (size, 3, 3) blocks symmetric: each off the diagonal gets what its mirror has as well."""
+    mirrors = indptr[:-1].copy()  # of the row under way, in each row below it: their columns are sorted
+    for row in range(len(mirrors)):
+        for at in range(indptr[row], indptr[row + 1]):
+            column = indices[at]
+            if column > row:
+                mirror = mirrors[column]
+                mirrors[column] += 1
+                for i in range(3):
+                    for k in range(3):
+                        sums[at, i, k] += sums[mirror, k, i]
+                        sums[mirror, k, i] = sums[at, i, k]
 
 
 def _strains(deformation: Array, gradients: Array) -> Array:

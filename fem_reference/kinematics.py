@@ -62,7 +62,9 @@ class Kinematics:
     @cached_property
     def inverse(self) -> Array:
         """(..., 3, 3) F^-1."""
-        return _adjugate(self.deformation_gradient) / (1.0 + self.dilation)[..., None, None]
+        deformation = self.deformation_gradient
+        inverses = _inverse(deformation.reshape(-1, 3, 3), 1.0 + self.dilation.ravel())
+        return np.asarray(inverses.reshape(deformation.shape))
 
     @cached_property
     def inverse_metric(self) -> Array:
@@ -154,11 +156,14 @@ def _determinant(a: Array) -> Array:
     )
 
 
-def _adjugate(a: Array) -> Array:
-    out = np.empty_like(a)
-    for i in range(3):
-        for j in range(3):
-            r, s = (j + 1) % 3, (j + 2) % 3
-            u, v = (i + 1) % 3, (i + 2) % 3
-            out[..., i, j] = a[..., r, u] * a[..., s, v] - a[..., r, v] * a[..., s, u]
+@compiled
+def _inverse(a: Array, determinant: Array) -> Array:
+    """The (n, 3, 3) adjugates over the (n,) determinants."""
+    out = np.empty(a.shape)
+    for n in range(len(a)):
+        for i in range(3):
+            for j in range(3):
+                r, s = (j + 1) % 3, (j + 2) % 3
+                u, v = (i + 1) % 3, (i + 2) % 3
+                out[n, i, j] = (a[n, r, u] * a[n, s, v] - a[n, r, v] * a[n, s, u]) / determinant[n]
     return out
