@@ -117,6 +117,13 @@ class Shortfall:
         return next((name for name in known if split(name)[0] in LINEAR_ELEMENTS), None)
 
     @cached_property
+    def no_nearer(self) -> str | None:
+        """A nonlinear solver of the model that was tried and is no nearer; None where none was, or one is."""
+        tried = [n for n in self.digest.compared if split(n)[0] == split(self.model)[0] and not is_linear(n)]
+        nearest = min(tried, key=lambda name: self.part(name) or math.inf, default=None)
+        return nearest if nearest and not 0.0 < self.part(nearest) < self.part(self.model) else None
+
+    @cached_property
     def finite_strain(self) -> bool:
         """Whether the reference follows large displacements."""
         return split(str(self.case.reference))[0] in FINITE_STRAIN
@@ -192,12 +199,13 @@ def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
     model, elements, step = shortfall.model, shortfall.elements, shortfall.small_step
     if not shortfall.finite_strain or not is_linear(model):
         return
+    no_nearer = {"no_nearer": shortfall.no_nearer}
     if elements is not None:
         if shortfall.part(elements) - shortfall.part(shortfall.digest.coarse_reference) >= HALF:
-            yield Reason(SMALL_STRAIN, shortfall.errors(elements), {"elements": elements})
+            yield Reason(SMALL_STRAIN, shortfall.errors(elements), {"elements": elements, **no_nearer})
     elif step is not None and shortfall.part(model) - shortfall.part(model, step) >= HALF:
         first = shortfall.errors(model, step)
-        yield Reason(SMALL_STRAIN, shortfall.errors(model), {"first": first, **shortfall.load})
+        yield Reason(SMALL_STRAIN, shortfall.errors(model), {"first": first, **shortfall.load, **no_nearer})
 
 
 def compressibility(shortfall: Shortfall) -> Iterator[Reason]:

@@ -167,6 +167,9 @@ def test_where_small_strain_has_ended_the_nonlinear_solver_decides_if_it_is_bett
     better = linear | {"vdm-vector:nonlinear": (0.01, 0.02, 0.03)}
     alone = verdicts(Digest(make_run([growing(better)])))["vdm-derived"]
     assert (alone.word, alone.model) == ("yes", "vdm-vector:nonlinear")
+    worse = linear | {"vdm-vector:nonlinear": (0.02, 0.07, 0.15)}
+    advised = told(make_run([growing(worse)]))[SMALL_STRAIN]
+    assert advised.endswith("A lower load takes that away; vdm-vector:nonlinear is no nearer here.")
 
 
 def test_a_model_that_is_far_off_at_any_load_says_so_beside_small_strain() -> None:
