@@ -1,7 +1,7 @@
 """Bodies in parts on trial: slender, thick, thin-walled, forked and hollow ones, and lumps, beside elements.
 
 And what parts cost on finer and finer meshes, beside one body of boundary elements and its sparse form, how far
-their linear answers are from its own, and what frames of a body in parts take.
+their linear answers are from its own, and what set-up and frames of a body in parts take.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from vdm.solvers.linear import LinearSolver
 from vdm.surface import SurfaceMesh
 from vdmbench.body.mesh import Mesh
 from vdmbench.body.mesh_cache import mesh_from_cache
-from vdmbench.body.refine import Hierarchy, refined
+from vdmbench.body.refine import refined
 from vdmbench.machine import cache_directory
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.frame import series, where_reached
@@ -223,37 +223,40 @@ def costs_page(lines: Sequence[Sequence[str]]) -> str:
 def agreement(_: Sequence[str]) -> Iterator[list[str]]:
     """A line for each body and weight: how far linear answers are from that of a finer mesh, in per cent.
 
-    That of one body, and those of parts, which are beside that too. The finer mesh has each facet of the same
-    polyhedron in four, and holds the same of it.
+    That of one body, and those of parts, which are beside that too, on either mesh. The finer one has each facet of
+    the same polyhedron in four, and holds the same of it.
     """
     own = EVIDENCE["agreement"]
+    counts = (1, *own["parts"])
     for about, (name, weight) in product(own["bodies"], own["weights"].items()):
-        meshes, held = _held_over(about)
-        coarse = meshes.meshes[0]
-        one, *several = (_linear(coarse, held, weight, count) for count in (1, *own["parts"]))
-        finer = _linear(meshes.finest, meshes.inherit(held), weight)[: len(one)]
-        areas = np.sqrt(SurfaceMesh(coarse.surface_points, coarse.triangles).nodal_areas)[:, None]
-
-        def off(u: Array, other: Array, areas: Array = areas) -> str:
-            return as_per_cent(np.linalg.norm(areas * (u - other)) / np.linalg.norm(areas * other))
-
+        mesh, held = _held_over(about)
+        meshes = refined(mesh, 1)
+        finest = meshes.finest
+        coarse = [_linear(mesh, held, weight, count) for count in counts]
+        fine = [_linear(finest, meshes.inherit(held), weight, count) for count in counts]
         yield [
-            f"{about['name']}, {about['share']}", name, str(len(one)), *(off(u, finer) for u in (one, *several)),
-            *(off(u, one) for u in several),
+            f"{about['name']}, {about['share']}", name, str(len(coarse[0])),
+            *(_off(mesh, u, fine[0][: len(u)]) for u in coarse), *(_off(mesh, u, coarse[0]) for u in coarse[1:]),
+            str(len(fine[0])), *(_off(finest, u, fine[0]) for u in fine[1:]),
         ]  # fmt: skip
 
 
-def _held_over(about: Mapping[str, Any]) -> tuple[Hierarchy, Mask]:
-    """A body of the trial, or a ball, refined once, and the nodes held from its end along x over a share of it."""
-    given = {"shape": "sphere", "radius": "50 mm"}
-    shape = OWN["bodies"][about["name"]]["geometry"] if about["name"] in OWN["bodies"] else given
-    if "path" in shape:
+def _off(mesh: Mesh, u: Array, other: Array) -> str:
+    """How far a displacement (N, 3) of a surface is from another, in per cent of that, by area."""
+    areas = np.sqrt(SurfaceMesh(mesh.surface_points, mesh.triangles).nodal_areas)[:, None]
+    return as_per_cent(np.linalg.norm(areas * (u - other)) / np.linalg.norm(areas * other))
+
+
+def _held_over(about: Mapping[str, Any]) -> tuple[Mesh, Mask]:
+    """A body of the trial, or another shape, and the nodes held from its end along x over a share of it."""
+    shape = about.get("geometry") or OWN["bodies"][about["name"]]["geometry"]
+    if shape.get("path") in ("cup.stl", "fork.stl"):
         shape = {**shape, "path": str(_file(shape["path"]))}
     study = merged(COSTS["study"], EVIDENCE["agreement"]["study"])
     study = Study.model_validate(study | {"geometry": {**shape, "mesh_size": about["mesh"]}})
     mesh = mesh_from_cache(study.geometry, cache_directory())
     x = mesh.surface_points[:, 0]
-    return refined(mesh, 1), x <= x.min() + about["share"] * np.ptp(x)
+    return mesh, x <= x.min() + about["share"] * np.ptp(x)
 
 
 def _linear(mesh: Mesh, held: Mask, weight: Sequence[float], count: int = 1) -> Array:
@@ -281,6 +284,38 @@ def _in_parts(
     assert isinstance(model.solver, PartsSolver)
     model.solver.prepare(loads, compared=False)
     return model.solver
+
+
+# --- setup ---
+
+
+def setup(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """A line for each body, and for a surface that is named: its set-up where the number of parts is found.
+
+    By its own weight; processor time over that of one part, given, in turns, without what tells of errors.
+    """
+    own = EVIDENCE["setup"]
+    surfaces = [{**own["surface"], "geometry": {**own["surface"]["geometry"], "path": p}} for p in arguments]
+    for about in (*own["bodies"], *surfaces):
+        mesh, held = _held_over(about)
+        load, weight = Load(np.zeros(len(mesh.surface_nodes))), np.array(own["weight"])
+        ratios, parts = list[float](), 0
+        for turn in range(own["turns"] + 1):
+            taken = [0.0, 0.0]
+            for count in (0, 1) if turn % 2 else (1, 0):
+                material = Parameters(
+                    shear_modulus=about["modulus"] / 3.0, poisson_ratio=0.49, parts=count or None
+                )
+                start = time.process_time()
+                solver = _in_parts(mesh, held, material, weight, [load])
+                taken[count] = time.process_time() - start
+                parts = parts if count else solver.body.n_parts
+            ratios.append(taken[0] / taken[1])
+        ratios = ratios[1:]  # the first turn warms
+        yield [
+            about["name"], str(len(mesh.surface_nodes)), f"{parts}",
+            *(f"{of(ratios):.2f}" for of in (np.median, np.min, np.max)),
+        ]  # fmt: skip
 
 
 # --- frames ---
