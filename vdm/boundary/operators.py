@@ -24,7 +24,7 @@ With P tractions and N nodes the factor of V and the products after it, half of 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -203,6 +203,7 @@ def precision(n_nodes: int) -> type[np.floating[Any]]:
     return np.float64 if n_nodes <= DOUBLE_NODES else np.float32
 
 
+@cache
 def compile_for(n_nodes: int) -> None:
     """Compile the loops that so many nodes need, or read them from the disk: seconds at first, then nothing."""
     least = SurfaceMesh(np.vstack([np.zeros(3), np.eye(3)]), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
