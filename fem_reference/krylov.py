@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr, solve_triangular
+from scipy.linalg.blas import daxpy
 from threadpoolctl import ThreadpoolController
 
 from fem_reference.costs import RESTART
@@ -72,7 +73,7 @@ def _cycle(
         column = np.empty(j + 2)
         for i, v in enumerate(basis):
             column[i] = w @ v
-            w -= column[i] * v
+            daxpy(v, w, a=-column[i])  # in place
         column[j + 1] = np.linalg.norm(w)
         fresh = column[j + 1]
         for i, (c, s) in enumerate(rotations):

@@ -172,7 +172,7 @@ class BlockPreconditioner:
     def __init__(self, system: LinearSystem) -> None:
         self._displacement = DisplacementPreconditioner(system)
         self._split = system.n_displacements
-        self._system = system
+        self._gradient, self._mass, self._schur_factor = system.gradient, system.mass, system.schur_factor
         if system.mass is None:
             return
         self._inverse_diagonal = 1.0 / system.mass.diagonal()
@@ -180,11 +180,10 @@ class BlockPreconditioner:
     def __call__(self, residual: Array) -> Array:
         """Approximate solution of the whole system."""
         top = residual[: self._split]
-        gradient, mass = self._system.gradient, self._system.mass
-        if gradient is None or mass is None:
+        if self._gradient is None or self._mass is None:
             return self._displacement(top)
-        pressure = -self._over_mass(mass, residual[self._split :]) / self._system.schur_factor
-        return np.concatenate([self._displacement(top + gradient @ pressure), pressure])
+        pressure = -self._over_mass(self._mass, residual[self._split :]) / self._schur_factor
+        return np.concatenate([self._displacement(top + self._gradient @ pressure), pressure])
 
     def _over_mass(self, mass: csr_array, rhs: Array) -> Array:
         """M^-1 rhs by Chebyshev steps for the mass matrix over its diagonal."""

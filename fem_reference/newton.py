@@ -255,6 +255,7 @@ class Newton:
             if slow or rises > _MOST_RISES or not np.isfinite(found.relative):
                 return outcome(state, "not-converged")
             if tangent is None or not self._good_enough(residuals):
+                tangent = None  # before the new one is made: both take as much memory
                 tangent = self.tangent(State(u, q, c), load, touch)
             update = self._update(tangent, step, found)
             if update is None:

@@ -6,11 +6,12 @@ Source: Saad and Schultz 1986, doi 10.1137/0907058.
 A follower pressure makes the tangent unsymmetric, but only at loaded facets: a factor of the symmetric
 part, or of an earlier tangent, is a close approximation at half the cost of an LU factor. It is made anew only when
 GMRES begins to need more steps than a factor is worth. Multigrid costs as much as eight steps, and saves more on a
-tangent of its own.
+tangent of its own; it takes that as it is, unsymmetric, which saves steps where a pressure is large.
 """
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -31,7 +32,7 @@ Operator = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class TangentSystem:
-    """A tangent, what makes its symmetric part, for a preconditioner, and its product with all nodes' moves."""
+    """A tangent, what makes its symmetric part, for a factor, and its product with all nodes' moves."""
 
     true: LinearSystem
     symmetric: Callable[[], LinearSystem]
@@ -39,7 +40,7 @@ class TangentSystem:
 
 
 class Preconditioner(Protocol):
-    """Makes approximate inverses of symmetric systems with one sparsity pattern.
+    """Makes approximate inverses of tangents with one sparsity pattern.
 
     `library` is what factorises, "none" for multigrid; `patience` is the number of GMRES steps on another tangent
     after which a new one is cheaper, `limit` that which counts as failed. `sharpen` makes it more exact for good
@@ -52,8 +53,8 @@ class Preconditioner(Protocol):
     limit: int
     estimated_bytes: float
 
-    def make(self, system: LinearSystem) -> Operator | None:
-        """The approximate inverse of a system; None if it is singular."""
+    def make(self, tangent: TangentSystem) -> Operator | None:
+        """The approximate inverse of a tangent; None if it is singular."""
         ...
 
     def sharpen(self) -> bool:
@@ -76,12 +77,12 @@ class Factors:
         self.estimated_bytes = self._needed(self._precision)
         check_memory(self.estimated_bytes, memory_limit, self.name)
 
-    def make(self, system: LinearSystem) -> Operator | None:
+    def make(self, tangent: TangentSystem) -> Operator | None:
         """See `Preconditioner`."""
         try:
-            factor = self._analysis.factor(pivotable_triangle(system), self._precision)
+            factor = self._analysis.factor(pivotable_triangle(tangent.symmetric()), self._precision)
         except RuntimeError:  # a pivot is zero at this precision
-            return self.make(system) if self.sharpen() else None
+            return self.make(tangent) if self.sharpen() else None
         return lambda residual: np.asarray(factor.solve(residual))
 
     def sharpen(self) -> bool:
@@ -109,9 +110,9 @@ class Multigrid:
         self.estimated_bytes = estimate_costs(system.size, system.mesh.n_vertices, 1)[self.name].bytes
         check_memory(self.estimated_bytes, memory_limit, self.name)
 
-    def make(self, system: LinearSystem) -> Operator:
+    def make(self, tangent: TangentSystem) -> Operator:
         """See `Preconditioner`."""
-        return BlockPreconditioner(system)
+        return BlockPreconditioner(tangent.true)
 
     def sharpen(self) -> bool:
         """See `Preconditioner`."""
@@ -152,11 +153,11 @@ class TangentSolver:
         self.factorisations = 0
         self.steps = 0
         self._approximate: Operator | None = None
-        self._of: TangentSystem | None = None  # the tangent that it was made for
+        self._of: Callable[[], TangentSystem | None] = lambda: None  # the tangent that it was made for
 
     def solve(self, tangent: TangentSystem, rhs: Array, tolerance: float) -> tuple[Array, bool]:
         """Solve to norm(rhs - K x) <= tolerance * norm(rhs); returns x and whether that was reached."""
-        limit, own = self.preconditioner.limit, self._of is tangent
+        limit, own = self.preconditioner.limit, self._of() is tangent
         most = limit if own else self.preconditioner.patience
         x = np.zeros_like(rhs)
         done = False
@@ -172,7 +173,7 @@ class TangentSolver:
 
     def _renew(self, tangent: TangentSystem) -> None:
         self._approximate = None  # before the new one is made: both may not fit
-        self._approximate, self._of = self.preconditioner.make(tangent.symmetric()), tangent
+        self._approximate, self._of = self.preconditioner.make(tangent), weakref.ref(tangent)
         self.factorisations += 1
 
     def _gmres(
