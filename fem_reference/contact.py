@@ -14,7 +14,6 @@ With five cells to the contact radius Hertz's force is met to 1 %, the pressure 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -29,6 +28,7 @@ from fem_reference.linear_algebra import BATCH
 from fem_reference.loads import loads_at
 from fem_reference.solution import Solution, Status
 from solver_common.arrays import Array
+from solver_common.jit import clock
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
@@ -81,7 +81,7 @@ class ContactProblem:
     """
 
     def __init__(self, problem: LinearProblem, indenter: Indenter, region: ArrayLike) -> None:
-        start = time.perf_counter()
+        start = clock()
         mesh = problem.mesh
         mask = np.asarray(region, dtype=bool)
         if mask.shape != (len(mesh.surface_nodes),):
@@ -123,7 +123,7 @@ class ContactProblem:
             moved = problem.solve_nodal(forces, nothing[: len(forces)]).displacement @ indenter.axis
             self.compliance[part] = np.asarray(self._spread.T @ moved.T).T
         self.compliance = 0.5 * (self.compliance + self.compliance.T)
-        self.seconds_setup = problem.seconds_setup + time.perf_counter() - start
+        self.seconds_setup = problem.seconds_setup + clock() - start
 
     def solve(self, depths: Sequence[float], load: Load | Sequence[Load] | None = None) -> ContactSolution:
         """One step per depth of the indenter [m], measured from where its tip is at rest.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,6 +13,7 @@ from fem_reference.outputs import strain_below
 from fem_reference.solution import CONVERGED, Solution, Status
 from fem_reference.surface_stretch import BIOT, CREASE, most_compressed
 from solver_common.arrays import Array
+from solver_common.jit import clock
 from solver_common.solution import ENDED, RESIDUAL
 
 OUTPUTS = {
@@ -80,7 +80,7 @@ class Record:
         self._converged = self.newton.rest  # the last one, of any step
         # a step under way: number, load factor, last attempt
         self._open: tuple[int, float, Substep] | None = None
-        self._clock = time.perf_counter()
+        self._clock = clock()
 
     def add(self, number: int, attempt: Substep) -> None:
         """Take in one attempt of load step `number`."""
@@ -171,7 +171,7 @@ class Record:
             self.states[number] = self._converged
         self._store(number, self._converged)
         self._open = None
-        now = time.perf_counter()
+        now = clock()
         self._seconds[number] = now - self._clock
         self._clock = now
 

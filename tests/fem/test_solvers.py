@@ -2,15 +2,18 @@
 
 import subprocess
 import sys
+import time
 
+import numba
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csc_array, eye_array, kron
 from scipy.sparse.linalg import spsolve
 
-from fem_reference import linear_algebra
+from fem_reference import finite_strain_assembly, linear_algebra
 from fem_reference.costs import Estimate, estimate_costs
+from fem_reference.linear import LinearProblem
 from fem_reference.linear_algebra import (
     DirectSolver,
     IterativeSolver,
@@ -166,3 +169,12 @@ def test_a_singular_matrix_is_told() -> None:
     system.gradient.data[:] = system.divergence.data[:] = 0.0
     with pytest.raises(SolverError, match="the stiffness matrix is singular; hold more of the surface"):
         DirectSolver(system, None, "")
+
+
+def test_what_is_compiled_once_on_a_machine_is_no_part_of_a_set_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    anew = numba.njit(finite_strain_assembly._add_products.py_func)  # of no cache
+    monkeypatch.setattr(finite_strain_assembly, "_add_products", anew)
+    b = cube(1)
+    start = time.perf_counter()
+    problem = LinearProblem(*b.arrays, youngs_modulus=1.0, poisson_ratio=0.3, held=b.surface[:, 2] < 1e-12)
+    assert problem.seconds_setup < 0.5 * (time.perf_counter() - start)
