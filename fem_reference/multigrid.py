@@ -30,7 +30,7 @@ _MASS_BOUNDS = (0.5, 2.5)  # of the P1 tetrahedral mass matrix over its diagonal
 
 
 class BlockSmoother:
-    """Two Chebyshev steps for D^-1 A, D the 3x3 diagonal blocks of A (Saad, Iterative Methods, alg. 12.1).
+    """Chebyshev steps for D^-1 A, D the 3x3 diagonal blocks of A (Saad, Iterative Methods, alg. 12.1).
 
     Blocks are kept in single precision, half as much to read: a preconditioner need not be exact, but linear, which
     it would not be with rounded vectors.
@@ -45,10 +45,15 @@ class BlockSmoother:
         self._middle = 0.5 * (high + high / _SMOOTHED_SHARE)
         self._half = 0.5 * (high - high / _SMOOTHED_SHARE)
 
-    def __call__(self, rhs: Array, start: Array | None = None) -> Array:
-        """Improve `start` (None: zero) towards A x = rhs."""
-        x = np.zeros_like(rhs) if start is None else start.copy()
-        residual = rhs.copy()
+    def first(self, rhs: Array) -> Array:
+        """One step from zero towards A x = rhs, which reads no matrix."""
+        x = np.zeros_like(rhs)
+        _advance(*self._matrix, None, rhs, x, 0.0, 1.0 / self._middle)
+        return x
+
+    def improved(self, rhs: Array, start: Array) -> Array:
+        """Two steps from `start` towards A x = rhs."""
+        x, residual = start.copy(), rhs.copy()
         step = _advance(*self._matrix, start, residual, x, 0.0, 1.0 / self._middle)
         ratio = self._half / self._middle
         following = 1.0 / (2.0 / ratio - ratio)
@@ -154,12 +159,12 @@ class DisplacementPreconditioner:
         if self._levels is None:
             return np.asarray(self._cycle @ residual)
         prolongation, restriction = self._levels
-        u = self._smoother(residual)
+        u = self._smoother.first(residual)
         coarse = restriction @ self._smoother.residual(residual, u).reshape(-1, 3)
         coarse *= self._free
         correction = (self._cycle @ coarse.ravel()).reshape(-1, 3)
         u += (prolongation @ correction).ravel()
-        return self._smoother(residual, u)
+        return self._smoother.improved(residual, u)
 
 
 class BlockPreconditioner:
