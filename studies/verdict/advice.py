@@ -12,7 +12,7 @@ import numpy as np
 
 from ..measures.case import CaseResult
 from ..study.registry import FINITE_STRAIN, Family, is_linear, is_surface, lacks, split
-from ..study.schema import extras_for
+from ..study.schema import extras_for, has_weight
 from .acceptance import BEYOND, FRAME_TIME, LOST, OPEN, WITHIN, Criterion
 from .digest import Digest, Figures, failed_steps, median_known
 
@@ -130,11 +130,16 @@ class Shortfall:
 
     @cached_property
     def small_step(self) -> int | None:
-        """The step of the smallest load, where that is small beside the largest."""
-        sizes = np.abs(self.case.load_factors)
+        """The step of the smallest load, where that is small; of a linear model with its weight, which is whole."""
+        case = self.case
+        sizes = np.abs(case.load_factors)
         steps = np.flatnonzero(sizes > 0.0)
         step = int(steps[np.argmin(sizes[steps])]) if len(steps) else 0
-        return step if 0.0 < sizes[step] <= SMALL * sizes.max() else None
+        small = bool(0.0 < sizes[step] <= SMALL * sizes.max())
+        if small and case.reference and is_linear(self.model) and has_weight(case.study):
+            moved = np.linalg.norm(case.models[case.reference].displacement, axis=(1, 2))
+            small = bool(moved[step] <= SMALL * moved[case.full_load])
+        return step if small else None
 
     @cached_property
     def load(self) -> dict[str, Any]:

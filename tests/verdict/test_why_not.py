@@ -177,6 +177,16 @@ def test_a_model_that_is_far_off_at_any_load_says_so_beside_small_strain() -> No
     assert causes(make_run([far])).keys() == {MODEL, SMALL_STRAIN}
 
 
+def test_a_load_beside_a_weight_is_small_only_where_it_moves_little() -> None:
+    far = growing({"vdm-vector": (0.2, 0.25, 0.3), "fem-linear": (0.2, 0.25, 0.29)})
+    weighed = asked(far, gravity={"acceleration": [0.0, 0.0, -9.81]})
+    assert causes(make_run([weighed])).keys() == {MODEL, SMALL_STRAIN}, "it moves in proportion to the load"
+    true = far.models["fem"]
+    models = {**weighed.models, "fem": dataclasses.replace(true, displacement=true.displacement[[2, 2, 2]])}
+    sagged = dataclasses.replace(weighed, models=models)
+    assert causes(make_run([sagged])).keys() == {SMALL_STRAIN}, "the weight moves it at any load"
+
+
 def test_what_the_mesh_takes_of_linear_elements_is_not_small_strain() -> None:
     shares = {"vdm-vector": (0.2, 0.2, 0.2), "fem-linear": (0.09, 0.09, 0.1), "fem": (0.09, 0.09, 0.09)}
     found = causes(make_run([growing(shares, reference="fem refined")], reference="fem"))
