@@ -5,6 +5,7 @@ SciPy would cost each first look at a study a sixth of a second.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -110,13 +111,14 @@ def _told_places(points: Array, parts: Index, label: Index, kind: str) -> str:
     parts : (n, k) edges or facets
     label : (n,) the same for all of a place
     """
-    least = 1e-6 * float(np.ptp(points, axis=0).max())
+    extent = float(np.ptp(points, axis=0).max())
+    decimals = 2 - math.floor(math.log10(extent)) if extent else 0
     names, sizes = np.unique(label, return_counts=True)
     told = []
     for k in np.argsort(-sizes, kind="stable")[:_MOST_TOLD]:
         corners = points[parts[label == names[k]].ravel()]
         low, high = corners.min(axis=0), corners.max(axis=0)
-        place = ", ".join(f"{x if abs(x) > least else 0.0:.3g}" for x in 0.5 * (low + high))
+        place = ", ".join(f"{round(x, decimals) + 0.0:.12g}" for x in 0.5 * (low + high))
         told.append(f"{sizes[k]} {kind} about ({place}), {(high - low).max():.3g} across")
     more = f" and {len(names) - _MOST_TOLD} more" if len(names) > _MOST_TOLD else ""
     return f"{len(names)} place{'s' * (len(names) > 1)} ({'; '.join(told)}{more})"

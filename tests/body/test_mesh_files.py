@@ -215,6 +215,9 @@ def test_holes_and_pieces_are_told_with_place_and_size_and_repaired_on_request(
     pieces = write_surface(tmp_path / "pieces.stl", np.concatenate([points, speck]), both)
     whole = from_file(write_surface(tmp_path / "ball.stl", points, triangles))
     refused(holes, r"is open, in 1 place \([0-9]+ edges about \(.*\), .* across\); .*fill-holes")
+    extent = np.ptp(points)
+    far = write_surface(tmp_path / "far.stl", 100.0 / extent * points + [1234.0, 0.0, 0.0], holed)
+    refused(far, r"edges about \(12[0-9]{2}, ")
     for path, repair, added, other in (
         (holes, "fill-holes", len(triangles) - len(holed) - 2, 0),
         (pieces, "both", len(triangles) - len(holed) - 2, len(triangles)),
