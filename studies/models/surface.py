@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -45,6 +44,7 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
 
 def _scanned(scene: Scene, name: str) -> SetUp:
     """Of a body scanned under its weight: its rest shape first; the loads then start from the scanned one."""
+    from solver_common.jit import clock
     from vdm.model import Model
     from vdm.parts.solve import PartsSolver
     from vdm.parts.unloaded import Unloading
@@ -54,9 +54,9 @@ def _scanned(scene: Scene, name: str) -> SetUp:
         assert isinstance(model.solver, PartsSolver)
         return model.solver
 
-    start, mesh, rest, springs = time.perf_counter(), scene.mesh, scene, _springs(scene)
+    start, mesh, rest, springs = clock(), scene.mesh, scene, _springs(scene)
     model = _model(scene, name, springs)
-    seconds = time.perf_counter() - start
+    seconds = clock() - start
     measured = mesh.surface_points
     search = Unloading(measured, _load(scene.load(0.0)))
 
@@ -76,7 +76,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
     def led_back(least: int) -> tuple[SetUp, Array]:
         """The body at rest, and its sag, in so many parts at least and in as many as it asks for where it sags."""
         nonlocal points, seconds
-        began, number, needed = time.perf_counter(), -1, least
+        began, number, needed = clock(), -1, least
         while needed != number:
             search.begin(needed)
             points, _ = rest_shape(measured, sag, points)
@@ -89,7 +89,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             if needed > number:  # never fewer again
                 least = needed
         solver().least = number
-        seconds += time.perf_counter() - began
+        seconds += clock() - began
         return found, np.asarray(weighed.displacement[0])
 
     def on_rest(load: SurfaceLoad) -> SurfaceLoad:

@@ -4,12 +4,15 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from fem_reference import finite_strain_assembly
 from fem_reference.finite_strain import FiniteStrainProblem
 from solver_common.arrays import Array
+from solver_common.jit import clock
 from solver_common.progress import Progress, reported
 from solver_common.solution import Solution, SolverError, Status, solver_error
 from vdmbench import models
@@ -94,6 +97,16 @@ def test_a_known_rest_shape_is_recovered_and_loads_start_from_the_scan(at_rest: 
     pushed = straight.displacement[1] - straight.displacement[0]
     assert np.abs(pushed).max() > 0.0005
     assert_allclose(result.displacement[1], pushed, rtol=0, atol=1e-3 * min(sag, np.abs(pushed).max()))
+
+
+def test_what_is_compiled_once_on_a_machine_is_no_part_of_the_search(
+    at_rest: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    anew = numba.njit(finite_strain_assembly._add_products.py_func)  # of no cache
+    monkeypatch.setattr(finite_strain_assembly, "_add_products", anew)
+    start = clock()
+    result = models.run_model(_scan(at_rest, at_rest.mesh.points), "fem")
+    assert result.seconds_setup < clock() - start
 
 
 ORGAN = {
