@@ -53,7 +53,7 @@ def rest_shape(
             displacement = sag(rest)
         except SolverError as error:
             if rest is borne or halved == _HALVINGS or error.status.code == NO_REST_SHAPE:
-                raise _no_rest_shape(error.status.message) from error
+                raise no_rest_shape(error.status.message) from error
             rest, halved = 0.5 * (borne + rest), halved + 1
             continue
         borne, halved = rest, 0
@@ -61,10 +61,10 @@ def rest_shape(
         if np.abs(missed).max() <= TOLERANCE * np.abs(displacement).max():
             return rest, displacement
         rest = anderson.next(rest.ravel(), missed.ravel()).reshape(rest.shape)
-    raise _no_rest_shape(f"after {_MOST} steps a point is off by {1e3 * float(np.abs(missed).max()):.2g} mm")
+    raise no_rest_shape(f"after {_MOST} steps a point is off by {1e3 * float(np.abs(missed).max()):.2g} mm")
 
 
-def _no_rest_shape(why: str) -> SolverError:
+def no_rest_shape(why: str) -> SolverError:
     return solver_error(
         NO_REST_SHAPE,
         f"no rest shape was found that sags into the scanned one: {why}",

@@ -19,7 +19,7 @@ from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import SCANNED, Family, split
 from ..study.registry import Model as Registered
 from .model import SetUp, register
-from .scanned import from_scan, rest_shape
+from .scanned import from_scan, no_rest_shape, rest_shape
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -88,6 +88,8 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             needed = solver().body.n_parts
             if needed > number:  # never fewer again
                 least = needed
+        if search.stiffness_left() <= 0.0:
+            raise no_rest_shape("under its weight the scanned shape is not stable")
         solver().least = number
         seconds += clock() - began
         return found, np.asarray(weighed.displacement[0])
@@ -337,7 +339,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="44",
+        version="45",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),

@@ -154,6 +154,28 @@ def test_a_body_is_recovered_as_its_rest_shape_is_cut(
     assert_allclose(found[0], sag, rtol=0, atol=1e-3 * np.abs(sag).max())
 
 
+@pytest.mark.parametrize(("share", "stable"), [(1.2, False), (0.8, True), (-1.2, True)])
+def test_a_column_stands_in_its_scan_up_to_the_weight_that_it_buckles_under(
+    share: float, *, stable: bool
+) -> None:
+    """Greenhill's, 7.84 E I / L^2 = 0.653 E A (a / L)^2; beyond it the column moved against what pushed it."""
+    length, side, young = 0.12, 0.02, 65000.0
+    weight = share * 0.653 * young * (side / length) ** 2 / length / 1000.0
+    column = STUDY | {
+        "geometry": {"shape": "box", "size": [side, side, length], "mesh_size": 0.01},
+        "tissue": {"youngs_modulus": young, "poisson_ratio": 0.45, "density": 1000.0},
+        "regions": {"base": {"below": {"axis": "z", "fraction": 0.01}}},
+        "constraints": STUDY["constraints"][:1],
+        "gravity": {"acceleration": [0.0, 0.0, -weight], "scanned": True},
+        "load": {"factors": [0.0]},
+    }
+    study = Study.model_validate(column)
+    scan = build_scene(study, build_mesh(study.geometry, volume=False))
+    (status,) = models.run_model(scan, "bem:nonlinear").status
+    assert status.ok == stable
+    assert ("the scanned shape is not stable" in status.message) != stable
+
+
 def test_a_load_that_asks_for_more_parts_than_the_weight_starts_from_the_scan_too() -> None:
     """Cut for its weight alone the answer was 5 % off."""
     organ = STUDY | {

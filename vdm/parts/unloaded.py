@@ -204,12 +204,19 @@ class Unloading:
     def __init__(self, seen: Array, load: Load) -> None:
         self._seen, self._load = seen, load
         self._balance: Balance | None = None
+        self._body: Parts | None = None  # of that balance
         self.begin(0)
 
     def begin(self, count: int) -> None:
         """Go on in this many parts, or if none in as many as the next body needs."""
         self._count, self._steps = count, (np.inf, np.inf)
         self._kept: Cut | None = None
+
+    def stiffness_left(self) -> float:
+        """Of the body at rest that was found last, under the load; as in `Large`."""
+        assert self._body is not None
+        assert self._balance is not None
+        return self._body.stiffness_left(self._balance.parts.seen)
 
     def cut(self, points: Array) -> Cut | None:
         """Of surface nodes (N, 3): none, they are cut anew, until a step was no shorter than the last but one.
@@ -230,6 +237,7 @@ class Unloading:
         SolverError
             where no balance is found; it names the share of the load that was undone.
         """
+        self._body = None  # two at once would take twice the memory
         solver.prepare([self._load], compared=False, count=self._count)
         body, n = solver.body, len(self._seen)
         self._count = body.n_parts
@@ -251,7 +259,7 @@ class Unloading:
         assert isinstance(step, DeformedStep)
         if step.balance is None or not step.status.ok:
             raise SolverError(Status(NO_REST_SHAPE, NOT_UNDONE.format(100 * step.reached), REMEDY))
-        self._balance = step.balance
+        self._body, self._balance = body, step.balance
         rest = seen + self._balance.x
         far = float(np.abs(rest - points)[:n].max())
         if self._kept is not None or far >= self._steps[0]:
