@@ -118,7 +118,7 @@ class Shortfall:
 
     @cached_property
     def no_nearer(self) -> str | None:
-        """A nonlinear solver of the model that was tried and is no nearer, as without an answer; None where one is."""
+        """A nonlinear solver of the model that was tried, where none is nearer or has an answer; else None."""
         tried = [n for n in self.digest.compared if split(n)[0] == split(self.model)[0] and not is_linear(n)]
         nearest = min(tried, key=lambda name: self.part(name) or math.inf, default=None)
         return nearest if nearest and not 0.0 < self.part(nearest) < self.part(self.model) else None
