@@ -18,7 +18,9 @@ _LEAST_COMPRESSIBILITY = 1e-7
 
 
 class Factor(Protocol):
-    """A factorised matrix."""
+    """A factorised matrix; of its eigenvalues `inertia` are positive, negative and zero."""
+
+    inertia: tuple[int, int, int]
 
     def solve(self, rhs: Array) -> Array:
         """Solve for (size,)."""

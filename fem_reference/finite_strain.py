@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.assembly import coupling_pattern, scalar_pattern
 from fem_reference.condition import condition_estimate
+from fem_reference.factorisation import Analysis, pivotable_triangle
 from fem_reference.finite_contact import Indentation, RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.finite_strain_outputs import OUTPUTS, Record
@@ -34,6 +35,7 @@ from fem_reference.loads import (
     prescribed_nodes,
 )
 from fem_reference.materials import NeoHookean, make_law
+from fem_reference.memory import check_memory
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.newton import LoadPath, Newton, ScaledLoad, State, Substep
@@ -243,17 +245,10 @@ class FiniteStrainProblem:
         SolverError
             where the weight is beyond reach; its status is that of the load step.
         """
-        mesh, length = self.mesh, self.mesh.mean_edge
-        nothing = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
-        load = self._scaled(Load(nothing, np.zeros((len(mesh.surface_nodes), 3)), np.asarray(gravity, float)))
-        stress_unit = self.system.pressure_scale * self.shear_modulus
-        rest, found = self._newton.rest, None
+        length, stress_unit = self.mesh.mean_edge, self.system.pressure_scale * self.shear_modulus
+        load, rest, found = self._weight(gravity), self._newton.rest, None
         if near is not None:
-            found = self._newton.solve(
-                State(near.displacement[0] / length, near.pressure[0] / stress_unit, rest.state.fluid),
-                load,
-                1.0,
-            )
+            found = self._newton.solve(self._state(near), load, 1.0)
         if found is None or not found.converged:
             record = Record(self._newton, self.shear_modulus, 1, frozenset())
             for found in self._newton.follow(rest.state, rest.load, load):
@@ -270,6 +265,35 @@ class FiniteStrainProblem:
             np.array(found.residuals[-1:]),
             np.array([len(found.residuals) - 1]),
         )
+
+    def is_stable(self, gravity: ArrayLike, near: Fields) -> bool:
+        """Whether its `sag` under gravity (3,) [m/s^2] is a state in which the body rests, not one that it leaves.
+
+        By Sylvester's law: of the tangent's eigenvalues one is negative for each pressure, and no other.
+
+        Raises
+        ------
+        SolverError
+            where memory does not suffice for a factor.
+        """
+        lower = pivotable_triangle(self._newton.tangent(self._state(near), self._weight(gravity)).symmetric())
+        analysis = Analysis(lower)
+        check_memory(analysis.needed_bytes("float64", 1), None, "direct")
+        try:
+            negative = analysis.factor(lower, "float64").inertia[1]
+        except RuntimeError:  # singular
+            return False
+        return negative <= self.mesh.n_pressures + len(self._newton.rest.state.fluid)
+
+    def _weight(self, gravity: ArrayLike) -> ScaledLoad:
+        mesh = self.mesh
+        nothing = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
+        return self._scaled(Load(nothing, np.zeros((len(mesh.surface_nodes), 3)), np.asarray(gravity, float)))
+
+    def _state(self, near: Fields) -> State:
+        stress_unit = self.system.pressure_scale * self.shear_modulus
+        fluid = self._newton.rest.state.fluid
+        return State(near.displacement[0] / self.mesh.mean_edge, near.pressure[0] / stress_unit, fluid)
 
     def indent(
         self,

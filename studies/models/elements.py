@@ -17,7 +17,7 @@ from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import SCANNED, Family, Model, Size, split
 from ..study.schema import LAW_KEYS, LAWS, NEO_HOOKEAN
 from .model import SetUp, register
-from .scanned import from_scan, rest_shape
+from .scanned import UNSTABLE, from_scan, no_rest_shape, rest_shape
 
 if TYPE_CHECKING:
     from fem_reference.finite_strain import FiniteStrainProblem
@@ -116,6 +116,9 @@ def _scanned(scene: Scene, n_loads: int, path: LoadPath | None) -> SetUp:
         return near.displacement[0][: len(points)]
 
     _, sagged = rest_shape(scanned.points, sag)
+    assert near is not None
+    if not problem.is_stable(scene.gravity, near):
+        raise no_rest_shape(UNSTABLE)
     seconds = clock() - start
     answer = _at_finite_strain(scene, problem, scanned, path)
     return SetUp(lambda loads: from_scan(answer(loads), loads, sagged[scene.mesh.surface_nodes], seconds))
@@ -311,7 +314,7 @@ for _model in (
     ),
     _elements(
         name="fem",
-        version="12",
+        version="13",
         prepare=_finite_strain,
         memory=_finite,
         takes=_takes(_BOTH, DEAD) | {"law": _ONE, "indenter": _ONE, SCANNED: _ONE, FLUID: _ONE},

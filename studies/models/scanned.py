@@ -21,6 +21,7 @@ TOLERANCE = 1e-4  # of the largest sag, of what the sagged body misses of the me
 _MOST = 40  # steps
 _HALVINGS = 4  # of one
 _REMEMBERED = 10
+UNSTABLE = "under its weight the scanned shape is not stable"
 
 
 def rest_shape(

@@ -19,7 +19,7 @@ from ..scene.scene import Scene, SurfaceLoad
 from ..study.registry import SCANNED, Family, split
 from ..study.registry import Model as Registered
 from .model import SetUp, register
-from .scanned import from_scan, no_rest_shape, rest_shape
+from .scanned import UNSTABLE, from_scan, no_rest_shape, rest_shape
 
 if TYPE_CHECKING:
     from scipy import sparse
@@ -89,7 +89,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             if needed > number:  # never fewer again
                 least = needed
         if search.stiffness_left() <= 0.0:
-            raise no_rest_shape("under its weight the scanned shape is not stable")
+            raise no_rest_shape(UNSTABLE)
         solver().least = number
         seconds += clock() - began
         return found, np.asarray(weighed.displacement[0])

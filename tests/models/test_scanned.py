@@ -154,9 +154,10 @@ def test_a_body_is_recovered_as_its_rest_shape_is_cut(
     assert_allclose(found[0], sag, rtol=0, atol=1e-3 * np.abs(sag).max())
 
 
+@pytest.mark.parametrize("model", ["bem:nonlinear", "fem"])
 @pytest.mark.parametrize(("share", "stable"), [(1.2, False), (0.8, True), (-1.2, True)])
 def test_a_column_stands_in_its_scan_up_to_the_weight_that_it_buckles_under(
-    share: float, *, stable: bool
+    model: str, share: float, *, stable: bool
 ) -> None:
     """Greenhill's, 7.84 E I / L^2 = 0.653 E A (a / L)^2; beyond it the column moved against what pushed it."""
     length, side, young = 0.12, 0.02, 65000.0
@@ -170,8 +171,8 @@ def test_a_column_stands_in_its_scan_up_to_the_weight_that_it_buckles_under(
         "load": {"factors": [0.0]},
     }
     study = Study.model_validate(column)
-    scan = build_scene(study, build_mesh(study.geometry, volume=False))
-    (status,) = models.run_model(scan, "bem:nonlinear").status
+    scan = build_scene(study, build_mesh(study.geometry))
+    (status,) = models.run_model(scan, model).status
     assert status.ok == stable
     assert ("the scanned shape is not stable" in status.message) != stable
 
