@@ -250,7 +250,7 @@ def _off(mesh: Mesh, u: Array, other: Array) -> str:
 def _held_over(about: Mapping[str, Any]) -> tuple[Mesh, Mask]:
     """A body of the trial, or another shape, and the nodes held from its end along x over a share of it."""
     shape = about.get("geometry") or OWN["bodies"][about["name"]]["geometry"]
-    if shape.get("path") in ("cup.stl", "fork.stl"):
+    if "path" in shape:
         shape = {**shape, "path": str(_file(shape["path"]))}
     study = merged(COSTS["study"], EVIDENCE["agreement"]["study"])
     study = Study.model_validate(study | {"geometry": {**shape, "mesh_size": about["mesh"]}})
@@ -295,8 +295,8 @@ def setup(arguments: Sequence[str]) -> Iterator[list[str]]:
     By its own weight; processor time over that of one part, given, in turns, without what tells of errors.
     """
     own = EVIDENCE["setup"]
-    surfaces = [{**own["surface"], "geometry": {**own["surface"]["geometry"], "path": p}} for p in arguments]
-    for about in (*own["bodies"], *surfaces):
+    files = [{"geometry": {"path": str(Path(surface).resolve())}} for surface in arguments]
+    for about in (*own["bodies"], *(merged(own["surface"], file) for file in files)):
         mesh, held = _held_over(about)
         load, weight = Load(np.zeros(len(mesh.surface_nodes))), np.array(own["weight"])
         ratios, parts = list[float](), 0

@@ -38,7 +38,7 @@ from vdm.boundary.tractions import shared as shared_tractions
 from vdm.constraints import Load
 from vdm.deformed import DeformableSurface, DeformedSurface, best_rotation
 from vdm.formulations.base import Factor
-from vdm.parts.cut import Cut, cut
+from vdm.parts.cut import Cut, along_longest_axis, cut
 from vdm.parts.joined import JoinedFormulation
 from vdm.parts.part import Nothing, Part, condensed, dofs
 from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, moments, turned_back
@@ -733,9 +733,8 @@ def pieces_of(surface: SurfaceMesh) -> list[Index]:
 
 
 def _halves(surface: SurfaceMesh, nodes: Index) -> list[Index]:
-    areas, points = surface.nodal_areas[nodes], surface.points[nodes]
-    arms = points - areas @ points / areas.sum()
-    along = np.argsort(arms @ np.linalg.eigh((areas[:, None] * arms).T @ arms)[1][:, 2])
+    areas = surface.nodal_areas[nodes]
+    along = np.argsort(along_longest_axis(surface.points[nodes], areas)[0])
     middle = int(np.searchsorted(np.cumsum(areas[along]), 0.5 * areas.sum()))
     few = min(middle, len(nodes) - middle) < FEWEST
     return [nodes] if few else [nodes[along[:middle]], nodes[along[middle:]]]

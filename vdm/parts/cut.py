@@ -100,9 +100,7 @@ def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array,
     areas = 0.5 * np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
-    arms = centres - areas @ centres / areas.sum()
-    normal = np.linalg.eigh((arms * areas[:, None]).T @ arms)[1][:, 2]
-    places = arms @ normal
+    places, normal = along_longest_axis(centres, areas)
     # rounding decides neither which side comes first nor which facets the plane meets: it goes where none are near
     places, normal = (places, normal) if places[0] < 0.0 else (-places, -normal)
     order = np.argsort(places)
@@ -133,6 +131,13 @@ def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array,
         except CutError as error:
             refused.append(error)
     raise refused[0]
+
+
+def along_longest_axis(points: Array, areas: Array) -> tuple[Array, Array]:
+    """Places (n,) of points (n, 3) along their longest axis of inertia, from their middle, and the axis (3,)."""
+    arms = points - areas @ points / areas.sum()
+    axis = np.linalg.eigh((arms * areas[:, None]).T @ arms)[1][:, 2]
+    return arms @ axis, axis
 
 
 def _edges_to(triangles: Index, loops: list[Index], apart: Mask, n: int) -> int:
