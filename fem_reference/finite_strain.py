@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from fem_reference.assembly import coupling_pattern, scalar_pattern
 from fem_reference.condition import condition_estimate
-from fem_reference.factorisation import Analysis, pivotable_triangle
 from fem_reference.finite_contact import Indentation, RigidContact
 from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.finite_strain_outputs import OUTPUTS, Record
 from fem_reference.follower import FollowerPressure
 from fem_reference.indenter import Indenter, told_sunk
 from fem_reference.linear import Fields
+from fem_reference.linear_algebra import DirectSolver
 from fem_reference.loads import (
     Load,
     check_cavities,
@@ -35,7 +35,6 @@ from fem_reference.loads import (
     prescribed_nodes,
 )
 from fem_reference.materials import NeoHookean, make_law
-from fem_reference.memory import check_memory
 from fem_reference.mesh import TetMesh
 from fem_reference.moduli import check_density, check_fibres, make_moduli
 from fem_reference.newton import LoadPath, Newton, ScaledLoad, State, Substep
@@ -45,7 +44,6 @@ from fem_reference.system import LinearSystem, build_system
 from fem_reference.tangent_solver import TangentSolver, TangentSystem
 from solver_common.arrays import Array
 from solver_common.jit import clock
-from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
 __all__ = ["OUTPUTS", "PRESSURES", "FiniteStrainProblem", "Load"]
@@ -210,7 +208,7 @@ class FiniteStrainProblem:
         check_nodal(self.mesh, forces, prescribed)
         steps, length = len(forces), self.mesh.mean_edge
         force_unit = self.shear_modulus * length**2
-        nothing = np.zeros((len(self.mesh.triangles), len(facet_quadrature()[1])))
+        nothing = self._newton.rest.load.pressure
         loads = [
             ScaledLoad(nothing, force / force_unit, given / length)
             for force, given in zip(forces, prescribed, strict=True)
@@ -226,8 +224,7 @@ class FiniteStrainProblem:
             fields.iterations[number] += len(attempt.residuals) - 1
             if attempt.converged and attempt.load_factor == 1.0:
                 fields.displacement[number] = attempt.state.displacement * length
-                stress_unit = self.system.pressure_scale * self.shear_modulus
-                fields.pressure[number] = attempt.state.pressure * stress_unit
+                fields.pressure[number] = attempt.state.pressure * self._stress_unit
                 fields.reaction[number] = attempt.reaction * force_unit
                 fields.residual[number] = attempt.residuals[-1]
         return fields
@@ -245,8 +242,7 @@ class FiniteStrainProblem:
         SolverError
             where the weight is beyond reach; its status is that of the load step.
         """
-        length, stress_unit = self.mesh.mean_edge, self.system.pressure_scale * self.shear_modulus
-        load, rest, found = self._weight(gravity), self._newton.rest, None
+        length, load, rest, found = self.mesh.mean_edge, self._weight(gravity), self._newton.rest, None
         if near is not None:
             found = self._newton.solve(self._state(near), load, 1.0)
         if found is None or not found.converged:
@@ -260,7 +256,7 @@ class FiniteStrainProblem:
         assert found is not None
         return Fields(
             found.state.displacement[None] * length,
-            found.state.pressure[None] * stress_unit,
+            found.state.pressure[None] * self._stress_unit,
             found.reaction[None] * self.shear_modulus * length**2,
             np.array(found.residuals[-1:]),
             np.array([len(found.residuals) - 1]),
@@ -269,31 +265,36 @@ class FiniteStrainProblem:
     def is_stable(self, gravity: ArrayLike, near: Fields) -> bool:
         """Whether its `sag` under gravity (3,) [m/s^2] is a state in which the body rests, not one that it leaves.
 
-        By Sylvester's law: of the tangent's eigenvalues one is negative for each pressure, and no other.
+        Of the tangent's eigenvalues one is negative for each pressure then, and no other.
 
         Raises
         ------
         SolverError
             where memory does not suffice for a factor.
         """
-        lower = pivotable_triangle(self._newton.tangent(self._state(near), self._weight(gravity)).symmetric())
-        analysis = Analysis(lower)
-        check_memory(analysis.needed_bytes("float64", 1), None, "direct")
+        tangent = self._newton.tangent(self._state(near), self._weight(gravity))
         try:
-            negative = analysis.factor(lower, "float64").inertia[1]
-        except RuntimeError:  # singular
+            negative = DirectSolver(tangent.symmetric(), None, "").n_negative
+        except SolverError as error:
+            if error.status.code != "singular":
+                raise
             return False
         return negative <= self.mesh.n_pressures + len(self._newton.rest.state.fluid)
 
     def _weight(self, gravity: ArrayLike) -> ScaledLoad:
-        mesh = self.mesh
-        nothing = np.zeros((len(mesh.triangles), len(facet_quadrature()[1])))
-        return self._scaled(Load(nothing, np.zeros((len(mesh.surface_nodes), 3)), np.asarray(gravity, float)))
+        on_surface = np.zeros((len(self.mesh.surface_nodes), 3))
+        return self._scaled(Load(self._newton.rest.load.pressure, on_surface, np.asarray(gravity, float)))
 
     def _state(self, near: Fields) -> State:
-        stress_unit = self.system.pressure_scale * self.shear_modulus
-        fluid = self._newton.rest.state.fluid
-        return State(near.displacement[0] / self.mesh.mean_edge, near.pressure[0] / stress_unit, fluid)
+        """Scaled, of nodal fields of a body of nearly the same shape."""
+        displacement = near.displacement[0] / self.mesh.mean_edge
+        pressure = near.pressure[0] / self._stress_unit
+        return State(displacement, pressure, self._newton.rest.state.fluid)
+
+    @property
+    def _stress_unit(self) -> float:
+        """Of scaled pressures [Pa]."""
+        return self.system.pressure_scale * self.shear_modulus
 
     def indent(
         self,

@@ -113,6 +113,11 @@ class DirectSolver:
                 x[:, part], residual[part] = self._refine(rhs[:, part])
         return Solved(x, residual, np.zeros(rhs.shape[1], dtype=np.int64))
 
+    @property
+    def n_negative(self) -> int:
+        """How many eigenvalues of the system are negative, by the signs of its pivots (Sylvester's law)."""
+        return self._factor.inertia[1]
+
     def _factorise(self, precision: str, matrix: csc_array) -> None:
         self.precision = precision
         self.estimated_bytes = self._needed(precision)
