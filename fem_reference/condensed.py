@@ -193,10 +193,12 @@ class CondensedProblem:
         pressure = np.asarray(load.facet_pressure, dtype=np.float64)
         inside = pressure[self._facets]
         if np.count_nonzero(pressure) > np.count_nonzero(inside):
-            raise _bad_load(f"load step {step} has pressure outside the contact region", "enlarge contact")
+            raise _bad_load(
+                f"load step {step + 1} has pressure outside the contact region", "enlarge contact"
+            )
         if load.forces is not None and np.any(load.forces):
             raise _bad_load(
-                f"load step {step} has given forces", "use LinearProblem: frames are pushed by pressure"
+                f"load step {step + 1} has given forces", "use LinearProblem: frames are pushed by pressure"
             )
         forces = np.asarray(self._to_forces @ inside.ravel())
         gravity = np.asarray(load.gravity, dtype=np.float64) if self._heavy else np.zeros(0)
@@ -209,7 +211,7 @@ class CondensedProblem:
         left = given - self._moved.T @ shares
         if np.abs(left).max(initial=0.0) > _SPANNED * np.abs(given).max(initial=0.0):
             raise _bad_load(
-                f"load step {step} moves held nodes in a way that is not among motions",
+                f"load step {step + 1} moves held nodes in a way that is not among motions",
                 "add it to motions or use LinearProblem for it",
             )
         return shares

@@ -124,7 +124,9 @@ class Record:
         if attempt.code == _TOO_SMALL.code:
             return _TOO_SMALL
         iterations, residual = len(attempt.residuals) - 1, attempt.residuals[-1]
-        told = ENDED.format(_FAILURES[attempt.code], reached, number, iterations, RESIDUAL.format(residual))
+        told = ENDED.format(
+            _FAILURES[attempt.code], reached, number + 1, iterations, RESIDUAL.format(residual)
+        )
         u = self._converged.state.displacement
         remedy = _TOUCHING if attempt.code == "passed" else _REMEDY
         touched = self.newton.touched(u, attempt.load)

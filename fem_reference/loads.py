@@ -56,7 +56,7 @@ def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
         "gravity": (3,),
         "forces": (mesh.n_nodes, 3),
     }
-    for step, load in enumerate(loads):
+    for step, load in enumerate(loads, 1):
         for name, shape in shapes.items():
             if name == "forces" and load.forces is None:
                 continue

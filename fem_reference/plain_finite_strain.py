@@ -233,6 +233,6 @@ def between(start: Load | None, end: Load, share: float) -> Load:
 def _failed(number: int, reached: float) -> Status:
     return Status(
         "not-converged",
-        f"Newton's method did not converge beyond {reached:.4g} of load step {number}",
+        f"Newton's method did not converge beyond {reached:.4g} of load step {number + 1}",
         "load the body less, or use a finer mesh where it deforms most",
     )

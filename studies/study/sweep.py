@@ -18,7 +18,7 @@ from .errors import MOST_TOLD, Finding, InputError, Loc, Source, unknown, value_
 from .files import located, substituted, without_folders
 from .kinds import Enters, Table
 from .schema import NEVER_AN_INPUT, NEVER_SWEPT, Known, Range, Study, Sweep
-from .units import shown, to_si, type_name
+from .units import IN_METRES, shown, to_si, type_name
 
 Value = float | str
 Entry = tuple[
@@ -287,6 +287,8 @@ def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
     def told(axis: Axis, value: Value) -> str:
         name = last[axis.key] if often[last[axis.key]] == 1 else axis.key
         unit = axis.unit.removeprefix("1")
+        if unit == "m" and not isinstance(value, str) and abs(value) < IN_METRES:
+            value, unit = 1e3 * value, "mm"
         return f"{name} = {_shown(without_folders(value))} {unit}".rstrip()
 
     base: dict[str, Value] = {}

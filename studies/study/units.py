@@ -48,6 +48,7 @@ class QuantityError(ValueError):
     """A value that is not a finite quantity of the wanted dimension; the message says what is wanted."""
 
 
+IN_METRES = 0.5  # m: shorter lengths are told in millimetres, even where a surface is a decimetre across
 LARGEST = 1e100  # of a number: its third power is still finite
 
 

@@ -159,8 +159,21 @@ def reasons(digest: Digest, model: str) -> tuple[Reason, ...]:
     shortfall = Shortfall(digest, model)
     answers = np.isfinite(digest.shares(model)).any()
     found = tuple(reason for find in (CAUSES if answers else (no_answer,)) for reason in find(shortfall))
-    more = {} if _refuses(LINEAR, digest) else {"elements": LINEAR}
-    return found or ((Reason(NOT_TOLD, about=more),) if shortfall.broken else ())
+    return found or ((Reason(NOT_TOLD, about=_what_tells(shortfall)),) if shortfall.broken else ())
+
+
+def _what_tells(shortfall: Shortfall) -> dict[str, Any]:
+    """What the study has not, and may show a cause: linear elements, a small load, a second mesh of the reference.
+
+    No small load tells of a weight, which acts beside it as a whole.
+    """
+    digest = shortfall.digest
+    alone = LINEAR in digest.models or _refuses(LINEAR, digest)
+    return {
+        "elements": None if alone else LINEAR,
+        "load": shortfall.small_step is None and not has_weight(shortfall.case.study),
+        "levels": digest.coarse_reference is None,
+    }
 
 
 def no_answer(shortfall: Shortfall) -> Iterator[Reason]:
@@ -204,13 +217,16 @@ def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
     model, elements, step = shortfall.model, shortfall.elements, shortfall.small_step
     if not shortfall.finite_strain or not is_linear(model):
         return
-    no_nearer = {"no_nearer": shortfall.no_nearer}
+    helps = {
+        "no_nearer": shortfall.no_nearer,
+        "lower": step is not None or not has_weight(shortfall.case.study),  # which no load takes away
+    }
     if elements is not None:
         if shortfall.part(elements) - shortfall.part(shortfall.digest.coarse_reference) >= HALF:
-            yield Reason(SMALL_STRAIN, shortfall.errors(elements), {"elements": elements, **no_nearer})
+            yield Reason(SMALL_STRAIN, shortfall.errors(elements), {"elements": elements, **helps})
     elif step is not None and shortfall.part(model) - shortfall.part(model, step) >= HALF:
         first = shortfall.errors(model, step)
-        yield Reason(SMALL_STRAIN, shortfall.errors(model), {"first": first, **shortfall.load, **no_nearer})
+        yield Reason(SMALL_STRAIN, shortfall.errors(model), {"first": first, **shortfall.load, **helps})
 
 
 def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
@@ -253,13 +269,14 @@ def the_reference(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def the_time(shortfall: Shortfall) -> Iterator[Reason]:
-    """A frame that takes longer than is allowed, in the slowest case."""
+    """A frame that takes longer than is allowed, in the slowest case; whether the errors allow a coarser mesh."""
     digest, model = shortfall.digest, shortfall.model
+    coarser = bool((digest.at_full(digest.worst_states(model, of_load=True)) == WITHIN).all())
     for limit in (c for c in digest.criteria if not c.of_load):
         states = set(digest.at_full(digest.states(model, limit)).tolist())
         if states & {BEYOND, OPEN}:
             slowest = float(np.nanmax(digest.full_loads(model, limit.metric), initial=0.0))
-            yield Reason(TIME, {limit.key: slowest}, {"sure": BEYOND in states})
+            yield Reason(TIME, {limit.key: slowest}, {"sure": BEYOND in states, "coarser": coarser})
 
 
 # in the order in which they are told
@@ -323,6 +340,8 @@ def _resting(digest: Digest) -> Advice:
     """Every linear model costs the same small product per frame there; condensed elements err as linear ones do."""
     for name in (CONDENSED, LINEAR):
         if name in digest.compared and math.isfinite(digest.shares(name).max(initial=0.0)):
+            if digest.usual_share(name) > 1.0:
+                return Advice(RESTING, "none")
             found = digest.figures[name]
             if name == LINEAR:  # whose times are not theirs
                 within = int((digest.at_full(digest.worst_states(name, of_load=True)) == WITHIN).sum())
@@ -333,21 +352,26 @@ def _resting(digest: Digest) -> Advice:
 
 def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
     limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.nan)
-    quick = [n for n in surface if math.isnan(limit) or digest.figures[n].frame <= limit]
+    quick = [n for n in _serving(digest, surface) if math.isnan(limit) or digest.figures[n].frame <= limit]
     if not quick:
-        return Advice(MOVING, "none quick enough", allowed=limit)
+        return Advice(MOVING, "none", allowed=limit)
     return Advice(MOVING, "closest surface", (digest.figures[_closest(digest, quick)],), allowed=limit)
 
 
 def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
     """A cut makes a new body: the least set-up, and what the closest form's costs."""
-    first = min(surface, key=lambda name: digest.figures[name].set_up)
-    names = dict.fromkeys([first, _closest(digest, surface)])
+    serving = _serving(digest, surface)
+    if not serving:
+        return Advice(CUTTING, "none")
+    first = min(serving, key=lambda name: digest.figures[name].set_up)
+    names = dict.fromkeys([first, _closest(digest, serving)])
     return Advice(CUTTING, "set-up", tuple(digest.figures[name] for name in names))
 
 
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
     """Elements, or a surface model closer by more than the reference's error; where none serves, that."""
+    if not elements and digest.reference == LINEAR:
+        return Advice(EXACT, "elements", (digest.figures[LINEAR],))
     if not elements:
         return Advice(EXACT, "finite strain" if _refuses(LINEAR, digest) else "elements")
     told = [name for name in elements if not digest.same_as_reference(name)]
@@ -357,12 +381,17 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
     def share(name: str) -> float:
         return digest.usual_share(name) + (bar if name in surface else 0.0)
 
-    serving = [name for name in (*told, *surface) if digest.usual_share(name) <= 1.0]
+    serving = _serving(digest, (*told, *surface))
     best = min(serving or [*told, *surface], key=share) if told else elements[0]
     reference = digest.reference
     if told and reference is not None and not serving:
         return Advice(EXACT, "reference", (digest.figures[reference],))
     return Advice(EXACT, "closer surface" if best in surface else "elements", (digest.figures[best],))
+
+
+def _serving(digest: Digest, names: Iterable[str]) -> list[str]:
+    """Models whose errors are within the limits in the median: no other is one to take."""
+    return [name for name in names if digest.usual_share(name) <= 1.0]
 
 
 def _closest(digest: Digest, names: Iterable[str]) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
+from ..study.units import IN_METRES
+
 NOT_MEASURED = "not measured"
 NOTHING = "–"
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -20,8 +22,6 @@ _SCALES: dict[str, tuple[tuple[float, str], ...]] = {
     "J": ((1.0, "J"), (1e-3, "mJ"), (1e-6, "µJ")),
     "B": ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1.0, "B")),
 }
-# a surface is measured in millimetres even where it is a decimetre across
-_LARGEST_LENGTH = 0.5
 
 
 def number(value: float, digits: int = 3, *, signed: bool = False) -> str:
@@ -70,7 +70,7 @@ def scale_of(unit: str, values: Iterable[float], digits: int = 3) -> tuple[float
     scales = _SCALES.get(unit)
     if scales is None or largest == 0.0:
         return 1.0, "" if unit == "1" else unit
-    if unit == "m" and 1e-3 <= largest < _LARGEST_LENGTH:
+    if unit == "m" and 1e-3 <= largest < IN_METRES:
         return 1e-3, "mm"
     return next(((f, u) for f, u in scales if largest >= f * (1.0 - 0.5 * 0.1**digits)), scales[-1])
 

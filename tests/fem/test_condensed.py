@@ -37,9 +37,9 @@ def test_what_it_cannot_do_is_refused(body: Body) -> None:
     everywhere = body.load(1.0)
     moved = replace(good, prescribed=np.full((len(body.surface), 3), 1e-3))
     for load, words in (
-        (everywhere, "load step 1 has pressure outside the contact region; enlarge contact"),
-        (moved, "load step 1 moves held nodes in a way that is not among motions; add it to motions or use"),
-        (replace(good, gravity=np.full(3, np.nan)), "gravity of load step 1 has values that are not finite"),
+        (everywhere, "load step 2 has pressure outside the contact region; enlarge contact"),
+        (moved, "load step 2 moves held nodes in a way that is not among motions; add it to motions or use"),
+        (replace(good, gravity=np.full(3, np.nan)), "gravity of load step 2 has values that are not finite"),
     ):
         with pytest.raises(SolverError, match=words):
             condensed.solve([good, load])

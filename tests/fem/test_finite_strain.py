@@ -252,7 +252,7 @@ def test_a_load_out_of_reach_is_a_status_with_a_remedy_and_a_solve_tells_where_i
     failed = s.status[1]
     assert failed.code in {"not-converged", "inverted"}
     assert not failed.ok
-    assert "of load step 1" in failed.message
+    assert "of load step 2" in failed.message
     assert "load the body less" in failed.remedy
     # The last state in equilibrium is kept.
     assert 0.0 < s.scalars["load_factor"][1] < 0.5

@@ -153,5 +153,5 @@ def test_combinations_and_finite_strain_take_given_forces() -> None:
         finite.displacement[0], s.displacement[1], rtol=0, atol=1e-4 * np.abs(s.displacement).max()
     )
     assert_allclose(finite.reaction_force[0].sum(axis=0), [-1e-6, -2e-6, 0.0], rtol=0, atol=1e-14)
-    with pytest.raises(SolverError, match="load step 0 has given forces; use LinearProblem"):
+    with pytest.raises(SolverError, match="load step 1 has given forces; use LinearProblem"):
         CondensedProblem(problem, b.surface[:, 2] == 1.0).solve(loads[1:2])

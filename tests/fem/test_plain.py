@@ -139,4 +139,4 @@ def test_a_load_beyond_the_first_attempt_is_reached_in_substeps_or_refused() -> 
     assert [s.code for s in through.status] == ["converged", "not-converged", "not-reached"]
     assert 0.0 < through.scalars["load_factor"][1] < 1.0
     assert np.isnan(through.displacement[2]).all()
-    assert "of load step 1" in through.status[1].message
+    assert "of load step 2" in through.status[1].message

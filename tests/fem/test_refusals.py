@@ -141,7 +141,7 @@ def problems() -> Iterator[Refused]:
             mesh = dict(zip(("points", "tetrahedra", "surface_nodes", "triangles"), CUBE.arrays, strict=True))
             yield words, lambda kind=kind, options=mesh | given | change: kind(**options)
         solve = kind(*CUBE.arrays, **given).solve
-        told = "facet_pressure of load step 1 has values that are not finite"
+        told = "facet_pressure of load step 2 has values that are not finite"
         yield told, lambda solve=solve: solve([good, CUBE.load(np.nan)])
         yield "there is no load step", lambda solve=solve: solve([])
         yield "output 'colour' is unknown", lambda solve=solve: solve([good], frozenset({"colour"}))
@@ -182,14 +182,14 @@ def loads() -> Iterator[Refused]:
     infinite = np.array(good.prescribed)
     infinite[0, 0] = np.inf
     for words, load in (
-        ("prescribed of load step 1 has values that are not", replace(good, prescribed=infinite)),
-        (r"facet_pressure of load step 1 has values beyond 1e\+100; give a load", CUBE.load(1e300)),
-        (r"gravity of load step 1 has shape \(2,\); give shape \(3,\)", replace(good, gravity=np.zeros(2))),
+        ("prescribed of load step 2 has values that are not", replace(good, prescribed=infinite)),
+        (r"facet_pressure of load step 2 has values beyond 1e\+100; give a load", CUBE.load(1e300)),
+        (r"gravity of load step 2 has shape \(2,\); give shape \(3,\)", replace(good, gravity=np.zeros(2))),
         (
-            "facet_pressure of load step 1 has shape",
+            "facet_pressure of load step 2 has shape",
             replace(good, facet_pressure=good.facet_pressure[:, :1]),
         ),
-        (r"forces of load step 1 has shape \(3,\)", replace(good, forces=np.zeros(3))),
+        (r"forces of load step 2 has shape \(3,\)", replace(good, forces=np.zeros(3))),
     ):
         yield words, lambda load=load: problem.solve([good, load])
     zero = np.zeros((1, mesh.n_nodes, 3))

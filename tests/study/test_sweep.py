@@ -27,7 +27,7 @@ def test_a_grid_is_every_combination_last_axis_fastest(tmp_path: Path) -> None:
         '"tissue.youngs_modulus" = ["2 kPa", 5000]\ngeometry.mesh_size = ["8 mm", "6 mm", 0.005]\n',
     )
     assert [case.label for case in cases] == [
-        f"youngs_modulus = {e} Pa, mesh_size = {h} m" for e in (2000, 5000) for h in (0.008, 0.006, 0.005)
+        f"youngs_modulus = {e} Pa, mesh_size = {h} mm" for e in (2000, 5000) for h in (8, 6, 5)
     ]
     assert cases[1].swept == {"tissue.youngs_modulus": 2000.0, "geometry.mesh_size": 0.006}
     assert cases[1].swept_units == {"tissue.youngs_modulus": "Pa", "geometry.mesh_size": "m"}
@@ -190,6 +190,12 @@ def test_a_model_of_the_study_needs_no_table_of_its_own(tmp_path: Path) -> None:
     assert "vdm-vector:lu" not in load(tmp_path, SWEPT).models
     cases = swept(tmp_path, '"models.vdm-vector:lu.foundation" = [1.0, 2.0]\n')
     assert [case.study.models["vdm-vector:lu"].foundation for case in cases] == [1.0, 2.0]
+
+
+def test_labels_tell_lengths_as_the_page_does(tmp_path: Path) -> None:
+    cases = swept(tmp_path, 'geometry.mesh_size = ["12 mm", 0.0123]\n')
+    assert [case.label for case in cases] == ["mesh_size = 12 mm", "mesh_size = 12.3 mm"]
+    assert [case.study.geometry.mesh_size for case in cases] == [0.012, 0.0123]
 
 
 def test_one_at_a_time_is_a_base_and_each_axis_alone(tmp_path: Path) -> None:

@@ -459,7 +459,7 @@ def test_what_the_parts_do_not_follow_is_told() -> None:
     assert stretched.status[0].ok
     assert "follows small strain inside" in stretched.status[0].message
     assert not stretched.status[1].ok
-    assert "beyond 0 of load step 1" in stretched.status[1].message
+    assert "beyond 0 of load step 2" in stretched.status[1].message
     assert_allclose(stretched.displacement[1], stretched.displacement[0], rtol=0.0)
 
 

@@ -316,7 +316,7 @@ def test_a_failed_step_keeps_what_it_reached_and_the_history_goes_on():
     assert "smaller load" in solution.status[1].remedy
     share = solution.scalars["load_factor"][1]
     assert 0.0 < share < 1.0
-    assert f"beyond {share:.4g} of load step 1" in solution.status[1].message
+    assert f"beyond {share:.4g} of load step 2" in solution.status[1].message
     assert solution.scalars["relative_residual"][1] < 1e-6
     for step, factor in ((1, 1.0 + 299.0 * share), (2, 1.1)):
         alone = model("vector", solver="nonlinear").solve([PUSH.scaled(factor)])

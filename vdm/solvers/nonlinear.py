@@ -296,7 +296,7 @@ class NonlinearSolver:
             balance = self.body.balance(last.load, last.x, last.pressure)
         status = CONVERGED
         if reached < 1.0:
-            told = ENDED.format("the nonlinear balance was not found", reached, self._number, used, why)
+            told = ENDED.format("the nonlinear balance was not found", reached, self._number + 1, used, why)
             if np.isfinite(left := self.body.stiffness_left(balance)):
                 told += LEFT.format(100.0 * left)
             status = Status("not-converged", told, REMEDY)
