@@ -26,7 +26,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Loaded when it is asked for: `vdm.solvers` tells which solvers there are without them and SciPy."""
+    """Load a public name at its first use: `vdm.solvers` can be imported without the solvers and SciPy."""
     if name in __all__:
         for home in ("constraints", "material", "solution", "surface", "model"):
             module = import_module(f"vdm.{home}")

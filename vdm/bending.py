@@ -1,16 +1,16 @@
-"""How well a form knows its own body: pure bending, whose answer is known on every shape, solved with it.
+"""The error of a form on its own body, measured by pure bending, which has an exact solution on every shape.
 
-A solid of Young's modulus E and Poisson's ratio nu bends in the plane of two axes a and b, c the third, by
+A solid of Young's modulus E and Poisson's ratio nu bends in the plane of axes a and b, with c the third axis:
 
 `u_a = a b, u_b = -(a^2 + nu b^2 - nu c^2) / 2, u_c = -nu b c`
 
-under the only stress E b along a (Timoshenko and Goodier 1970, article 102). On the surface that is a
-traction E b n_a, linear on every facet, and forces of the nodes without an error of their own. The body is held
-where its supports hold it, at the displacement of the bending, and loaded everywhere else. Of six such bendings,
-about the principal axes of the surface, what the nodes do is compared with what they should do.
+Its only stress is E b along a (Timoshenko and Goodier 1970, article 102). On the surface this is a traction
+E b n_a, linear on every facet, so that the nodal forces are exact. The supported nodes are given their exact
+displacement, all others their exact force. Six such bendings about the principal axes of the surface are solved
+and compared with the exact displacement.
 
-Where the operator itself does not know the body's stiffness the answer is wrong by any amount, and no residual
-tells. A skin does not know what is inside; boundary integrals lose a lobe thinner than their facets are wide.
+No residual shows an operator with the wrong stiffness. A skin does not know what is inside; boundary integrals
+lose a lobe that is thinner than their facets are wide.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from vdm.surface import SurfaceMesh, rigid_basis
 
 
 def bending_error(problem: Problem, factor: BorderedFactor) -> float:
-    """Error of the displacement over the six bendings, over their deformation: root mean squares by area.
+    """Error of the displacement over the six bendings, relative to their deformation; root mean squares by area.
 
-    NaN where the parameters do not tell the tissue's stiffness.
+    NaN where the parameters do not give the tissue's stiffness.
     """
     form, surface = problem.formulation, problem.formulation.surface
     n = surface.n_nodes
     modulus = form.parameters.tissue_modulus
     if modulus is None or form.parameters.ground is not None or form.parameters.lumps is not None:
-        return np.nan  # the known bendings are those of one tissue that is held or free
+        return np.nan  # the exact bendings are those of one homogeneous tissue, held or free
     if form.parameters.fluid_in_cavities:
         return np.nan
     mesh, nu = form.resolved, form.parameters.poisson_ratio
@@ -54,9 +54,9 @@ def bending_error(problem: Problem, factor: BorderedFactor) -> float:
 
 
 def bendings(surface: SurfaceMesh, nu: float = 0.5, body: SurfaceMesh | None = None) -> tuple[Array, Array]:
-    """(6, N, 3) displacements [m^2] and nodal forces [m^3], both over the curvature [1/m], the latter over E.
+    """(6, N, 3) displacements [m^2] per curvature [1/m], and (6, N, 3) nodal forces [m^3] per curvature and E.
 
-    About the principal axes of the `body` that the surface is of a part of, by default its own.
+    The axes are the principal axes of `body`, by default the surface itself; `surface` may be of one of its parts.
     """
     body = body or surface
     middle = body.points.mean(axis=0)
@@ -68,7 +68,7 @@ def bendings(surface: SurfaceMesh, nu: float = 0.5, body: SurfaceMesh | None = N
         moved[k, a] = x[a] * x[b]
         moved[k, b] = -0.5 * (x[a] ** 2 + nu * x[b] ** 2 - nu * x[c] ** 2)
         moved[k, c] = -nu * x[b] * x[c]
-        # a shape function times a linear one: a twelfth of its own corner's value and of all three
+        # a shape function times a linear field: a twelfth of its value there and of the sum of all three
         at_corners = x[b][surface.triangles]
         shares = 1.0 / 12.0 * facets[a][:, None] * (at_corners + at_corners.sum(axis=1, keepdims=True))
         forces[k, a] = np.bincount(surface.triangles.ravel(), shares.ravel(), surface.n_nodes)

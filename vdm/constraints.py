@@ -13,7 +13,7 @@ from vdm.surface import SurfaceMesh
 
 ContactSign = Literal["inward", "printed"]
 CONTACT_SIGNS: tuple[ContactSign, ...] = get_args(ContactSign)
-LARGEST = 1e100  # of a load, in SI units: beyond it squares overflow
+LARGEST = 1e100  # of a load, in SI units: larger values overflow when squared
 
 
 class ConstraintError(ValueError):
@@ -22,16 +22,16 @@ class ConstraintError(ValueError):
 
 @dataclass(frozen=True)
 class Load:
-    """One step of a load history on N surface nodes.
+    """One load step on N surface nodes.
 
     Attributes
     ----------
-    contact_pressure : (N,) pressure of the contact over A_i [Pa], positive pushes inward; the thrust is sum A_i p_i
+    contact_pressure : (N,) contact pressure over A_i [Pa], positive inward; the thrust is sum A_i p_i
     contact_force : (N, 3) the same contact as force on each node [N], summed facet by facet; the consistent and
-        vector formulations use it where it is given, and -p_i g_i where it is not
+        vector forms use it where given, and -p_i g_i otherwise
     prescribed : (N, 3) displacement of the constrained nodes [m]; scalar formulations use its normal component
-    dead_force : (N, 3) further force on each node [N], which keeps size and direction and moves with its node;
-        scalar formulations, which move along normals only, refuse it
+    dead_force : (N, 3) further force on each node [N] of constant size and direction, which moves with its node;
+        scalar formulations move along normals only and refuse it
     weight : share of the body's weight that acts on the deformed surface; below 1 on the way to a first load
     """
 
@@ -53,7 +53,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Support:
-    """What stays the same over a load history.
+    """Supports, gravity and environment, constant over a load history.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Support:
     density : of the fluid [kg/m^3]
     gravity : (3,) [m/s^2], None without
     environment_pressure : P_ep [Pa] (11)
-    contact_sign : "inward", or "printed" for +P_cp as equation 24 has it, which bulges towards the finger
+    contact_sign : "inward", or "printed" for +P_cp as in equation 24, which bulges towards the finger
     """
 
     fixed: Mask
@@ -80,7 +80,7 @@ class Support:
         return self.fixed | self.constrained
 
     def signed(self, load: Load) -> Load:
-        """The load with the sign of a push that was asked for."""
+        """The load with the contact's sign as `contact_sign` requires."""
         if self.contact_sign == "inward":
             return load
         force = None if load.contact_force is None else -load.contact_force

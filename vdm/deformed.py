@@ -13,14 +13,14 @@ from vdm.surface import SurfaceMesh, cross, lengths
 
 
 class DeformableSurface:
-    """Evaluates displaced copies of a surface; holds what does not change with the displacement."""
+    """Evaluates displaced copies of a surface; holds the data that do not depend on the displacement."""
 
     def __init__(self, surface: SurfaceMesh) -> None:
         self.surface = surface
-        # about the centroid, so that a body far from the origin loses no digits of volume
+        # about the centroid: a body far from the origin then loses no digits of volume
         self.origin: Array = surface.points.mean(axis=0)
         self.rest: Array = surface.points - self.origin
-        # (N, 3) a_i X_i about the surface's centroid: their sum is zero, so that positions need no centre
+        # (N, 3) a_i X_i about the centroid; they sum to zero, so that positions need no centring
         areas = surface.nodal_areas
         self.levers: Array = areas[:, None] * (surface.points - areas @ surface.points / areas.sum())
         self.corners = np.ascontiguousarray(surface.triangles.T)
@@ -33,7 +33,7 @@ class DeformableSurface:
 
     @classmethod
     def together(cls, bodies: Sequence[DeformableSurface]) -> DeformableSurface:
-        """Several, one after another, each about its own centroid: `origin` is (N, 3), `surface` is none."""
+        """Several surfaces in a row, each about its own centroid: `origin` is (N, 3), `surface` is None."""
         joint = cls.__new__(cls)
         sizes = [len(body.rest) for body in bodies]
         before = np.cumsum(sizes) - sizes
@@ -47,7 +47,7 @@ class DeformableSurface:
         return joint
 
     def at(self, displacement: Array, rotation: Array | None = None) -> DeformedSurface:
-        """The surface after a displacement (N, 3) [m]; `rotation` as in `DeformedSurface`, where it is known."""
+        """The surface after a displacement (N, 3) [m]; `rotation`, if known, as in `DeformedSurface`."""
         return DeformedSurface(self, self.rest + displacement, rotation)
 
 
@@ -61,23 +61,23 @@ class DeformedSurface:
 
     @cached_property
     def _corners(self) -> Array:
-        """(3, 3, F): plain products are several times faster than np.cross, and take than an index in brackets."""
+        """(3, 3, F): with components first, plain products are several times faster than np.cross."""
         return np.take(np.ascontiguousarray(self.positions.T), self.body.corners, axis=1)
 
     @cached_property
     def facet_vectors(self) -> Array:
-        """(3, F) [m^2]."""
+        """(3, F) normals times areas [m^2]."""
         a = self._corners[:, 0]
         (px, py, pz), (qx, qy, qz) = self._corners[:, 1] - a, self._corners[:, 2] - a
         return 0.5 * np.stack([py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx])
 
     @cached_property
     def volume(self) -> float:
-        """[m^3]."""
+        """Volume of the polyhedron [m^3]."""
         return float(np.vdot(self._corners[:, 0], self.facet_vectors)) / 3.0
 
     def volumes(self, first: Index) -> Array:
-        """(m,) of bodies that lie one after another, the facets of body b from first[b] on [m^3]."""
+        """(m,) volumes [m^3] of bodies that lie one after another; body b has the facets from first[b] on."""
         each = np.einsum("cf,cf->f", self._corners[:, 0], self.facet_vectors)
         return np.asarray(np.add.reduceat(each, first)) / 3.0
 
@@ -95,9 +95,9 @@ class DeformedSurface:
 
     @cached_property
     def rotation(self) -> Array:
-        """(3, 3) Q that minimises `sum a_i |x_i - X_i Q|^2` over the nodes, in rows, about their centroids.
+        """(3, 3) Q that minimises `sum a_i |x_i - X_i Q|^2`; positions are rows, about their centroids.
 
-        Of a body in parts (N, 3, 3): that of each node's part.
+        (N, 3, 3) for a body in parts: Q of each node's part.
         """
         return (
             best_rotation(self.body.levers.T @ self.positions) if self._rotation is None else self._rotation
@@ -105,7 +105,7 @@ class DeformedSurface:
 
 
 def best_rotation(moment: Array) -> Array:
-    """Q (..., 3, 3) that minimises sum w |after - before Q|^2, of the moment sum w before^T after (rows)."""
+    """Q (..., 3, 3) that minimises sum w |after - before Q|^2, from the moment sum w before^T after (rows)."""
     left, _, right = np.linalg.svd(moment)
     sign = np.where(np.linalg.det(left @ right) < 0.0, -1.0, 1.0)
     left[..., :, 2] *= sign[..., None]
@@ -114,11 +114,11 @@ def best_rotation(moment: Array) -> Array:
 
 
 def follow(force: Array, rest_vectors: Array, state: DeformedSurface) -> Array:
-    """Nodal forces (N, 3) turned with the body and their nodes, and scaled by |g| / |g0|.
+    """Nodal forces (N, 3) that turn with the body and their nodes, scaled by |g| / |g0|.
 
-    First by the body's best-fit rotation, then by the least turn that takes g0, so turned, to g: a body that only
-    turns takes its forces along. A force -p g0 becomes -p g exactly; one along a patch's rim keeps its angle to
-    the normal.
+    The body's best-fit rotation acts first, then the least rotation that takes g0, so rotated, to g. A body that
+    only rotates thus takes its forces along. A force -p g0 becomes -p g exactly. A force at a patch's rim keeps
+    its angle to the normal.
     """
     turned = np.zeros_like(force)
     loaded = np.flatnonzero(force.any(axis=1))
@@ -133,7 +133,7 @@ def follow(force: Array, rest_vectors: Array, state: DeformedSurface) -> Array:
     axis = cross(before, after)
     cosine = np.einsum("ic,ic->i", before, after)[:, None]
     once = cross(axis, f)
-    # at a half turn no least rotation exists; such a node has long left the range of the model
+    # a half turn has no least rotation; such a node is far outside the range of the model
     least = f + once + cross(axis, once) / np.maximum(1.0 + cosine, 1e-12)
     turned[loaded] = least * (size / rest_size)
     return turned

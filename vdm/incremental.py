@@ -1,7 +1,7 @@
-"""The paper's time step read as an increment: each load step moves the nodes, and the next starts from there.
+"""The paper's time step as an increment: each load step moves the nodes, and the next starts from there.
 
-Figures 6 to 8 solve K dL = R once a step. Read so, geometry, normals, areas and operator are those of the surface
-that the last step left, R is what the load has changed by, and what was strained before is forgotten.
+Figures 6 to 8 solve K dL = R once a step. Here geometry, normals, areas and operator are those of the surface
+after the last step, and R is the change of the load. Earlier strain is forgotten.
 """
 
 from __future__ import annotations
@@ -22,13 +22,15 @@ from vdm.surface import SurfaceError, SurfaceMesh
 
 
 class IncrementalModel:
-    """A model whose every load step is a linear increment on the surface as the last one left it.
+    """A model whose every load step is a linear increment on the surface after the last step.
 
-    A load of one step is that of `Model` with its linear solver. Steps depend on the way to their load.
+    A single load step gives the answer of `Model` with its linear solver. An answer depends on the path to its
+    load.
 
     Parameters
     ----------
-    points, triangles, parameters, formulation, options : as of `vdm.Model`, without gravity; moduli stay what they
+    points, triangles, parameters, formulation, options : as in `vdm.Model`, without gravity; moduli keep their
+        values at
         are at rest
 
     Raises
@@ -59,8 +61,8 @@ class IncrementalModel:
     def solve(self, loads: Sequence[Load], condition: bool = False) -> Solution:
         """One increment per load.
 
-        `reaction_force` and `fluid_pressure` are sums of the increments', `energy` is the work done on the way. A
-        surface that folds ends the history.
+        `reaction_force` and `fluid_pressure` are sums over the increments; `energy` is the work done along the
+        path. A surface that folds ends the history.
         """
         n_nodes = self.surface.n_nodes
         displacement, force, reaction = (np.zeros((len(loads) + 1, n_nodes, 3)) for _ in range(3))
@@ -112,7 +114,7 @@ class IncrementalModel:
 
 
 def _increment(load: Load, last: Load) -> Load:
-    """What a load has changed by since the last one; the contact follows the surface as a pressure."""
+    """The change of the load since the last one; the contact follows the surface as a pressure."""
     if load.dead_force is not None:
         raise ConstraintError("the incremental solver takes no force along a line; use nonlinear")
     prescribed = None

@@ -17,25 +17,24 @@ from vdm.surface import SurfaceMesh
 Rotation = Literal["none", "global"]
 ROTATIONS: tuple[Rotation, ...] = ("none", "global")
 
-# The incompressible ball answers a normal traction P_n with u_r = c_n P_n; a normal-only membrane on a foundation
-# answers with 1 / (k + n (n + 1) T / R^2). Equal for n = 2 and n = 3 at these two numbers (see `ball_compliance`).
+# An incompressible ball under a normal traction P_n moves by u_r = c_n P_n; a normal-only membrane on a foundation
+# by 1 / (k + n (n + 1) T / R^2). These two numbers make both equal for n = 2 and n = 3 (see `ball_compliance`).
 BALL_FOUNDATION = 46.0 / 35.0  # k R / mu
 BALL_TENSION = 29.0 / 70.0  # T / (mu R)
-# Vector form: T / (mu R) for a body whose support is not known. It fits an incompressible ball under a finger's
-# patch.
+# Vector form without a known support: T / (mu R), fitted to an incompressible ball under a finger's patch.
 VECTOR_TENSION = 0.70
-# Vector form on a known support: T / (mu sqrt(R d)) at the distance d from it, one number for six bodies by least
-# squares over their training loads; body by body it is 0.58 to 1.43.
+# Vector form on a known support: T / (mu sqrt(R d)) at the distance d from it. One number for six bodies, by least
+# squares over their training loads; single bodies give 0.58 to 1.43.
 SUPPORTED_TENSION = 1.1
 
 
-# Poisson's ratio beyond which a body is taken as incompressible: the volume that it gives is below a thousandth
+# Poisson's ratio above which a body counts as incompressible: its volume changes by less than a thousandth
 INCOMPRESSIBLE = 0.4998
-# of a rotation at every node, which older studies name
+# rotation = "nodal", which older studies name
 NO_NODAL = (
     "is gone, as its answer grows without limit on finer meshes; use 'global', one rotation for the body"
 )
-# nodes of the coarse body of the sparse form: fewer lose thin lobes, more make a frame and a set-up long
+# nodes of the sparse form's coarse body: fewer lose thin lobes, more slow down frame and set-up
 COARSE_NODES_RANGE = (200, 2000)
 COARSE_NODES = 1000
 MOST_PARTS = 64
@@ -51,15 +50,15 @@ class ParameterError(ValueError):
 
 @dataclass(frozen=True)
 class Lumps:
-    """Regions 1 to m inside a body of N surface nodes, each of its own material; region 0 is the body around them.
+    """Regions 1 to m inside a body of N surface nodes, each of its own material; region 0 is the surrounding body.
 
-    A lump may have lumps inside; it touches neither the surface nor its neighbours.
+    A lump may contain lumps; it touches neither the surface nor its neighbours.
 
     Attributes
     ----------
-    points : (k, 3) nodes inside [m]; node N + j is number j of them
-    facets : (I, 3) between two regions, of the N + k nodes
-    sides : (I, 2) regions that a facet is between; its normal points from the first to the second
+    points : (k, 3) inner nodes [m]; inner node j has the number N + j
+    facets : (I, 3) interfaces of two regions, in the numbers of the N + k nodes
+    sides : (I, 2) the two regions of a facet; its normal points from the first to the second
     shear_moduli : (m,) [Pa]
     poisson_ratios : (m,), up to 1/2
     """
@@ -80,9 +79,9 @@ class Lumps:
             raise ParameterError("lumps touch each other; leave some of the body between them")
 
     def halved(self, points: Array) -> Lumps:
-        """The same with each facet in four, by nodes at the middles of edges; `points` (N, 3) are the surface's.
+        """The same lumps with each facet in four, by nodes at edge middles; `points` (N, 3) are the surface's.
 
-        Where an edge has both ends on the surface, as they are.
+        Unchanged where an edge has both ends on the surface.
         """
         n, places = len(points), np.vstack([points, self.points])
         edges = np.sort(self.facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -95,7 +94,7 @@ class Lumps:
         return replace(self, points=new, facets=facets, sides=np.repeat(self.sides, 4, axis=0))
 
     def bounds(self, facets: Index) -> list[Index]:
-        """Facets (F, 3) of each region's boundary inside the body, outward, in the numbers of these (I, 3)."""
+        """Facets (F, 3) of each region's boundary inside the body, outward, in the numbering of `facets` (I, 3)."""
         first, second = self.sides.T
         return [
             np.vstack([facets[first == k], facets[second == k][:, ::-1]])
@@ -105,7 +104,7 @@ class Lumps:
 
 @dataclass(frozen=True)
 class Parameters:
-    """Material parameters, SI units; each formulation reads its own and asks for the ones it lacks.
+    """Material parameters, SI units; each formulation reads its own and names the ones that are missing.
 
     Attributes
     ----------
@@ -115,20 +114,22 @@ class Parameters:
     surface_tension : T [N/m], scalar or (E,) (consistent, vector)
     stretch_stiffness : E_s [N/m], scalar or (E,) (vector)
     shear_modulus : mu [Pa], one number (boundary, sparse, mass-spring)
-    coarse_nodes : most nodes of the coarse body, 200 to 2,000; a surface of no more is taken whole. None: 1,000
-        (sparse)
-    parts : how many the nonlinear solver cuts the body into; None: as many as its rotations need (boundary, sparse)
-    poisson_ratio : of what is inside, above -1 and at most 1/2: the fluid that keeps the volume (boundary, sparse)
-    lumps : regions inside of a material of their own (boundary, linear solvers)
-    fluid_in_cavities : whether cavities hold an incompressible fluid without weight, which keeps the volume of
-        each; else they are empty (boundary)
-    rotation : which rotation is free of tension: none, or one for the body (vector)
+    coarse_nodes : largest number of nodes of the coarse body, 200 to 2,000; None: 1,000. A surface of no more
+        nodes is not coarsened (sparse)
+    parts : number of parts that the nonlinear solver cuts the body into; None: as many as its rotations need
+        (boundary, sparse)
+    poisson_ratio : of the inside, above -1 and at most 1/2; 1/2 is the fluid that keeps the volume
+        (boundary, sparse)
+    lumps : inner regions with a material of their own (boundary, linear solvers)
+    fluid_in_cavities : whether each cavity holds a weightless incompressible fluid, which keeps its volume;
+        otherwise cavities are empty (boundary)
+    rotation : rotation that is free of tension: none, or one for the whole body (vector)
     ground : (3N, 3N) force of springs between the surface and a rigid ground over the displacement of the nodes
         [N/m], sparse and symmetric (vector, boundary, mass-spring)
     tension_stiffening : gamma of the nonlinear volumic tension B_ij (1 + gamma s^2) s, s the difference of two
         neighbours' dV over their mean V_i (paper, nonlinear solver); zero is equation 8
-    youngs_modulus : E [Pa] of the tissue that the moduli stand for: what `vdm.bending` judges a form by. None:
-        2 (1 + nu) mu where mu is set, else no judgement
+    youngs_modulus : E [Pa] of the tissue that the moduli represent, for the check in `vdm.bending`. None:
+        `2 (1 + nu) mu` where mu is set, else no check
     """
 
     bulk_modulus: float | Array | None = None
@@ -177,12 +178,12 @@ class Parameters:
 
     @property
     def is_filled(self) -> bool:
-        """Whether Poisson's ratio is that of a fluid, which keeps the volume."""
+        """Whether Poisson's ratio counts as 1/2: that of a fluid, which keeps the volume."""
         return self.poisson_ratio > INCOMPRESSIBLE
 
     @property
     def tissue_modulus(self) -> float | None:
-        """E [Pa] of the tissue that the moduli stand for, None where nothing tells it."""
+        """E [Pa] of the tissue that the moduli represent; None where they do not determine it."""
         if self.youngs_modulus is None and self.shear_modulus is not None:
             return 2.0 * (1.0 + self.poisson_ratio) * self.shear_modulus
         return self.youngs_modulus
@@ -199,14 +200,15 @@ class Parameters:
     ) -> Parameters:
         """Parameters by rule, without a fit: matched to an incompressible ball of the same R = 3 V / A.
 
-        The fluid keeps the volume, so that Young's modulus is all there is of a tissue: mu = E / 3, Poisson's
-        ratio of 1/2. (The shear modulus of a tissue of 0.45, kept in place of E, is 3 % stiffer and further off.)
-        Boundary elements alone have a choice: with `poisson_ratio` it is the tissue itself, mu = E / (2 (1 + nu)).
+        The fluid keeps the volume, so that Young's modulus alone describes the tissue: mu = E / 3, with Poisson's
+        ratio 1/2. (Keeping the shear modulus of a tissue of 0.45 instead of E is 3 % stiffer and less accurate.)
+        Only boundary elements have a choice: with `poisson_ratio` they take the tissue itself,
+        `mu = E / (2 (1 + nu))`.
 
-        - consistent: k = (46/35) mu / R and T = (29/70) mu R, the exact answer of the ball to P_2 and P_3;
-        - paper: B = k V / A, and B_ij = T (V / A) / (sqrt(3) A / N), the constant that a mesh of N equal
-          nodes of six neighbours needs for the same T: sum_j (L_i - L_j) = -(3/2) h^2 lap L and
-          A_i = (sqrt(3)/2) h^2. A constant B_ij does not converge under refinement: it belongs to this mesh;
+        - consistent: k = (46/35) mu / R and T = (29/70) mu R, exact for the ball under P_2 and P_3;
+        - paper: B = k V / A and B_ij = T (V / A) / (sqrt(3) A / N), which gives the same T on a mesh of N equal
+          nodes with six neighbours: sum_j (L_i - L_j) = -(3/2) h^2 lap L and A_i = (sqrt(3)/2) h^2. A constant
+          B_ij does not converge under refinement: it belongs to this mesh;
         - vector: T = 1.1 mu sqrt(R d) on an edge at the distance d from the held nodes (see
           `distance_from_support`); without held nodes 0.70 mu R everywhere;
         - boundary, mass-spring: mu itself.
@@ -217,7 +219,7 @@ class Parameters:
         surface : the body's surface
         formulation : "paper", "consistent", "vector", "bem", "bem-sparse" or "mass-spring"
         rotation : of the vector form
-        held : (N,) mask of the nodes that are fixed or moved, for the vector form
+        held : (N,) nodes that are fixed or moved, for the vector form
         poisson_ratio : nu of the body inside, for boundary elements; 1/2 is the fluid that keeps the volume
 
         Raises
@@ -255,10 +257,11 @@ class Parameters:
         )
 
     def anisotropic(self, surface: SurfaceMesh, fibre: ArrayLike, contrast: float) -> Parameters:
-        """The same material with a fibre direction (ANISOTROPIC): moduli per node and per edge.
+        """The same material with a fibre direction (forms in ANISOTROPIC): moduli per node and per edge.
 
-        A modulus of an edge is multiplied by 1 + (c - 1) cos^2 of its angle to the fibre, one of a node by the
-        same of its normal's angle: c > 1 is stiffer along the fibre, c < 1 prefers to deform along it.
+        An edge's modulus is multiplied by 1 + (c - 1) cos^2 of its angle to the fibre, a node's by the same
+        function of its normal's angle. A body with c > 1 is stiffer along the fibre; with c < 1 it deforms along
+        it more easily.
 
         Parameters
         ----------
@@ -290,7 +293,7 @@ class Parameters:
             name: np.asarray(value) * (of_node if name in NODE_MODULI else of_edge)
             for name, value in self.moduli().items()
         }
-        # the known bendings are those of an isotropic tissue
+        # the exact bendings are those of an isotropic tissue
         return replace(self, youngs_modulus=None, **changed)
 
     def moduli(self) -> dict[str, float | Array]:
@@ -299,7 +302,7 @@ class Parameters:
         return {name: value for name, value in values.items() if value is not None}
 
     def record(self) -> dict[str, float | str]:
-        """For the record of a run: scalars as they are, arrays by their mean."""
+        """Scalars as they are and arrays by their mean, for the record of a run."""
         record: dict[str, float | str] = {
             name: float(np.mean(value)) for name, value in self.moduli().items()
         }
@@ -338,7 +341,7 @@ def ball_compliance(degree: int) -> float:
 
 
 def bulk_modulus_from_foundation(foundation: float, surface: SurfaceMesh) -> float:
-    """B = k V / A [Pa]: the paper's B term is a foundation that is fixed in space, k = B A / V [Pa/m]."""
+    """B = k V / A [Pa]: the paper's B term is a foundation fixed in space, k = B A / V [Pa/m]."""
     return foundation * surface.volume / surface.area
 
 
@@ -349,14 +352,14 @@ def connectivity_modulus_from_tension(surface_tension: float, surface: SurfaceMe
 
 
 def distance_from_support(surface: SurfaceMesh, held: NDArray[np.bool_]) -> Array:
-    """(E,) distance of the edges from the nearest held node [m], at least half their length.
+    """(E,) distance of each edge from the nearest held node [m], at least half the edge's length.
 
-    Near the rim of a support an elastic body moves as the root of the distance d from it, and so does a skin whose
-    tension is proportional to that root: T u' is constant across the rim, u' ~ d^(-1/2). A constant tension moves
-    as d there: it holds the body upright where an elastic one rocks.
+    Near the rim of a support an elastic body moves as the root of the distance d. So does a skin with a tension
+    proportional to that root: T u' is constant across the rim, u' ~ d^(-1/2). With a constant tension it moves as
+    d, and holds the body upright where an elastic one rocks.
     """
     i, j = surface.edges.T
-    # the larger leaves and the plain boxes answer as the default ones do, a quarter sooner
+    # larger leaves and plain boxes give the same answers as the defaults, in three quarters of the time
     tree = cKDTree(surface.points[held], leafsize=32, compact_nodes=False)
     distance = np.asarray(tree.query(surface.points)[0])
     length = np.linalg.norm(surface.points[i] - surface.points[j], axis=1)

@@ -1,16 +1,16 @@
-"""How far a form of boundary integrals is from its answer on a finer mesh: by one on half of its nodes.
+"""Estimates how far a form of boundary integrals is from its answer on a finer mesh, from a coarser one.
 
-The coarse answer u_H comes of the integrals of the fine one u_h. The form is of second order: its error falls with
-the area of a facet, so with one over the nodes n, and
+The coarse answer u_H has half of the nodes and the integrals of the fine one u_h. The form is of second order:
+its error falls with a facet's area, that is with one over the number of nodes n, and
 
 `|u_h - u| ~ |u_H - u_h| / (n_h / n_H - 1)`
 
 (Richardson 1911; the hierarchical estimator of Bank and Smith 1993, with one level down in place of one up). The
-fine form is cut along the rims of what is held (`vdm.boundary.rims`), the coarse one is not: of what a rim adds the
+fine form is cut along the rims of held nodes (`vdm.boundary.rims`), the coarse one is not: near a rim the
 estimate is too large.
 
-With the integrals of the fine form the coarse one does not see what these lack, which is most of the error of the
-change of shape where walls are thin. `shape` is by a coarse form with integrals of its own, on facets of its own.
+With the integrals of the fine form the coarse one does not see their error. Where walls are thin, that is most of
+the error in the change of shape. `shape` therefore uses a coarse form with its own integrals on its own facets.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _Coarse = tuple[LinearSolver, float]
 
 
 def coarse_solver(problem: Problem, make: type[SparseFormulation], *given: Any) -> LinearSolver | None:
-    """Of the problem on a coarser form, made of what is `given`.
+    """Solver of the problem on a coarser form, which `make` builds from what is `given`.
 
-    None of a mesh that is hardly more than its supports, or of which no coarse one is a body: a cavity near the
+    None where the mesh is hardly more than its supports, or where no coarse mesh bounds a body: a cavity near the
     surface sticks out of it.
     """
     try:
@@ -47,7 +47,7 @@ def coarse_solver(problem: Problem, make: type[SparseFormulation], *given: Any) 
 
 
 class MeshError:
-    """Estimates for the loads of one set-up: the problem of a `BoundaryFormulation`, and its factor at rest."""
+    """Estimates for all loads of one set-up, from the problem of a `BoundaryFormulation` and its factor at rest."""
 
     def __init__(self, problem: Problem, factor: BorderedFactor) -> None:
         form = problem.formulation
@@ -58,11 +58,11 @@ class MeshError:
         self._halved = self._on(HalvedFormulation, form)
 
     def of(self, load: Load, linear: Step | None = None, *, shape: bool = False) -> tuple[float, float]:
-        """Errors [1] over their size, root mean squares by area, in the linear answer to a load.
+        """Relative errors of the linear answer to a load, root mean squares by area.
 
-        Of the displacement; and where `shape`, the larger one of displacement and change of shape, by integrals of
-        their own. `linear` is that answer where it is known. NaN for a mesh that has no coarser one, and where
-        nothing moves.
+        The first is that of the displacement. The second, where `shape` is set, is the larger one of displacement
+        and change of shape, with a coarse form of its own integrals. `linear` is the linear answer, where known.
+        NaN where the mesh has no coarser one or nothing moves.
         """
         fine = (linear or self._fine.step(load)).displacement
         own = max(self._left(self._half, load, fine)) if shape else np.nan
@@ -74,7 +74,7 @@ class MeshError:
         return self._on(HalfFormulation, form.surface, form.parameters, self._problem.support.held)
 
     def _on(self, make: type[SparseFormulation], *given: Any) -> _Coarse | None:
-        """The problem on a coarser form, and by how much it has less nodes, less 1; None where there is none."""
+        """The problem's solver on a coarser form, and n_h / n_H - 1 of their nodes; None where there is none."""
         form = self._problem.formulation
         assert isinstance(form, BoundaryFormulation)
         solver = coarse_solver(self._problem, make, *given)
@@ -92,7 +92,7 @@ class MeshError:
         return np.linalg.qr(np.repeat(np.sqrt(self._areas), 3, axis=0) * motions)[0]
 
     def _left(self, coarse: _Coarse | None, load: Load, fine: Array) -> tuple[float, float]:
-        """Errors of the displacement, and of what is left of it without its rigid motion."""
+        """Relative errors of the displacement, and of the displacement without its rigid motion."""
         if coarse is None:
             return np.nan, np.nan
         solver, less = coarse

@@ -58,7 +58,7 @@ class Solver(Protocol):
         ...
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step, refined where the solver can, and what it is worth."""
+        """The step, refined where the solver can, and its audit."""
         ...
 
 
@@ -83,9 +83,8 @@ class Model:
     ----------
     points : (N, 3) coordinates [m]
     triangles : (F, 3) outward facets
-    parameters : the formulation's material, or a rule that gives it for the surface; `Solution.seconds_setup` then
-        counts the rule's time too
-    formulation : a key of `FORMULATIONS`
+    parameters : the formulation's material, or a rule that gives it for the surface; `Solution.seconds_setup`
+        then includes the rule's time
     fixed, constrained : (N,) masks of nodes that are held or moved by `Load.prescribed`
     density : of the fluid [kg/m^3]
     gravity : (3,) [m/s^2], constant over the history like the environment's pressure
@@ -94,12 +93,11 @@ class Model:
     contact_sign : "inward", or "printed" for the sign of equation 24
     constraint_method : "elimination", or one of the paper's two penalties (solver "lu")
     penalty : alpha over the largest diagonal entry of the state matrix
-    volume_row : "corrected", which quasi-linear takes where none is given, or "printed" as in equation 33, which
-        figure-8 takes; no other solver reads it
-    stop : of figure-8: where an iteration ends, see `vdm.solvers.figure_8`; "printed" where none is given
+    volume_row : "corrected", the default of quasi-linear, or "printed" as in equation 33, the default of
+        figure-8; no other solver reads it
+    stop : of figure-8: the rule that ends an iteration, see `vdm.solvers.figure_8`; "printed" by default
     tolerance : of the iterative solvers: residual over the right-hand side
-    cut : of boundary elements at large displacements: the parts that the body has, none for those that it needs
-
+    cut : of boundary elements at large displacements: the parts of the body; None for as many as it needs
     Raises
     ------
     ValueError
@@ -180,17 +178,23 @@ class Model:
     def solve(self, loads: Sequence[Load], condition: bool = False) -> Solution:
         """One step per load.
 
-        `fluid_pressure` is dP + P_ep at the datum, the highest surface point along gravity (17). Each step is
-        audited: `scalars["relative_residual"]`, and a status other than converged where it cannot be relied on.
-        With the quasi-linear solver `scalars["path_error"]` is the share of the largest displacement so far that is
-        owed to the load steps on the way; beyond 1e-3 the status, still converged, says so and what to do.
-        `scalars["load_factor"]`, there where a step of the nonlinear solver failed, is the share of the way to each
-        step that was reached; the step holds the last state on that way.
-        Of a form of boundary integrals `scalars["mesh_error"]` is what its mesh leaves open, and at large rotations
-        `scalars["shape_error"]` too; see `vdm.mesh_error`.
-        A body in parts has twice as many where its answers ask for it, and is solved anew; that time is set-up's.
-        With `condition`, `scalars["condition_estimate"]` is that of the whole system that is solved, from
-        `condition_estimate`, the same for all steps.
+        `fluid_pressure` is dP + P_ep at the datum, the highest surface point along gravity (17).
+
+        `scalars` holds, for each step:
+
+        - `relative_residual`, from an audit of each step. Where the step is not reliable, its status is not
+          converged.
+        - `path_error`, with the quasi-linear solver: the effect of the load steps on the way, over the largest
+          displacement so far. Beyond 1e-3 the status is still converged, with a message and a remedy.
+        - `load_factor`, where a step of the nonlinear solver failed: the share of the way to the step that was
+          reached. The step holds the last state on that way.
+        - `mesh_error`, of a form of boundary integrals: the error of its mesh; at large rotations also
+          `shape_error` (see `vdm.mesh_error`).
+        - `condition_estimate`, with `condition`: that of the whole system, the same for all steps, from the
+          method of that name.
+
+        A body in parts is cut into twice as many where its answers require it, and solved again; that time counts
+        as set-up.
 
         Raises
         ------
@@ -227,12 +231,12 @@ class Model:
         for k, load in enumerate(loads):
             start = time.perf_counter()
             solved = self.solver.step(load, last)
-            # asked for here: a solution holds them, and their time counts
+            # evaluated here: a solution holds them, and their time counts
             displacement[k], reaction_force[k], energy[k] = _results(solved)
             seconds[k] = time.perf_counter() - start
             step, found = self.solver.audited(load, solved)
             if step is not solved:
-                # a frame needs no audit, but where the audit had to mend it
+                # a frame needs no audit, unless the audit corrected it
                 displacement[k], reaction_force[k], energy[k] = _results(step)
                 seconds[k] = time.perf_counter() - start
             last = judged(step, found)
@@ -268,14 +272,14 @@ class Model:
 
     @property
     def _solved(self) -> Problem:
-        """What is solved at small displacements: of a body in parts that of its parts."""
+        """The problem at small displacements; for a body in parts that of its parts."""
         return self.solver.problem if isinstance(self.solver, PartsSolver) else self.problem
 
     @property
     def bending_error(self) -> float:
-        """How wrong the form is about a bending that is known: beyond the set-up, as an audit is beyond a step.
+        """Error of the form under known bendings. Its time counts neither as set-up nor as a step, like an audit's.
 
-        By the solver's factor, or by one for this where it has none; nan where no factor exists.
+        It uses the solver's factor, or its own where there is none; NaN where no factor exists.
         """
         if self._judged is not self._solved:
             self._judged, self._mesh_error = self._solved, None
@@ -287,7 +291,7 @@ class Model:
         return self._bending_error
 
     def _of_mesh(self, load: Load, step: Step) -> tuple[float, float]:
-        """What the mesh leaves open at the load that a step reached, see `vdm.mesh_error`; NaN of other forms."""
+        """Errors of the mesh at the load that a step reached, see `vdm.mesh_error`; NaN for other forms."""
         form = self._solved.formulation
         if not isinstance(form, BoundaryFormulation) or not isinstance(self.solver, FactorSolver):
             return np.nan, np.nan
@@ -299,18 +303,19 @@ class Model:
         return self._mesh_error.of(load, linear, shape=isinstance(self.solver, PartsSolver))
 
     def _warm_up(self, loads: Sequence[Load]) -> None:
-        """The first frame after a set-up takes several times as long as those after it; where one costs next to
-        nothing beside the set-up, it is not counted.
+        """Solve one frame that is not timed: the first one after a set-up takes several times as long as others.
+
+        Only for the linear solver, whose frame costs next to nothing beside the set-up.
         """
         if loads and not self._is_warm and isinstance(self.solver, LinearSolver):
             _results(self.solver.step(loads[0]))
             self._is_warm = True
 
     def condition_estimate(self) -> Condition:
-        """How well conditioned that is which the solver solves, see `vdm.solvers.condition`.
+        """Condition of the system that the solver solves, see `vdm.solvers.condition`.
 
-        For "lu" and "bicg" the state matrix in the units it has in print, with its penalty and before "bicg" scales
-        it; for all others the symmetric operator at rest, scaled.
+        For "lu" and "bicg" it is the state matrix in its printed units, with its penalty and before the scaling
+        of "bicg"; for all others the symmetric operator at rest, scaled.
 
         Raises
         ------
@@ -328,10 +333,10 @@ class Model:
         return condition_of_operator(self.problem)
 
     def condition_scalars(self, n_steps: int) -> dict[str, Array]:
-        """`Solution.scalars` of the condition of the system that is solved, the same for all steps."""
+        """`Solution.scalars` of the condition estimate, the same for all steps."""
         try:
             estimate = self.condition_estimate().system
-        except SolverError as error:  # singular in double precision: what the steps came from did not see it
+        except SolverError as error:  # singular in double precision, which the solver itself did not notice
             estimate = np.inf if error.status.code == "singular" else np.nan
         return {"condition_estimate": np.full(n_steps, estimate)}
 
@@ -346,7 +351,7 @@ class Model:
 
 
 def _names(told: Sequence[dict[str, float]]) -> list[str]:
-    """All names in some dictionaries, in the order in which they first come."""
+    """All names in the dictionaries, in order of first appearance."""
     return list(dict.fromkeys(name for one in told for name in one))
 
 

@@ -27,9 +27,9 @@ def pressure_change(fluid: float, environment: float) -> float:
 def volume_change(areas: Array, area_change: Array, length: Array, length_change: Array) -> Array:
     """(N,) dV_i = A_i dL_i + L_i dA_i [m^3] as printed (equation 20; its sum is 33).
 
-    It is the change of a column of section A_i and length L_i. With the length from a point inside, x_i . n_i / 3,
-    the sum is the change of the body's volume. With L_i the displacement, as the paper has it, A_i dL_i is the
-    whole already, and the second term counts what a surface sweeps twice.
+    It is the change of a column of section A_i and length L_i. With x_i . n_i / 3, the length from a point
+    inside, the sum is the change of the body's volume. The paper takes the displacement as L_i: A_i dL_i is then
+    the whole change, and the second term counts part of it twice.
     """
     change: Array = areas * length_change + length * area_change
     return change

@@ -20,14 +20,14 @@ from vdm.surface import SurfaceMesh
 
 HeldForce = Callable[[], Array]
 
-# share of a unit motion at the held nodes below which it counts as left free: what resists it is its square, of
-# which rounding leaves no three digits to any solver, and an iterative one would not notice
+# a motion counts as free where the held nodes take less than this share of a unit motion: the stiffness is its
+# square, which rounding leaves with fewer than three digits, unnoticed by an iterative solver
 FREE_MOTION = 1e-6
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What a solver solves: `K x - columns s = force` at free nodes, x given at held ones, and the border rows.
+    """A system to solve: `K x - columns s = force` at free nodes, given x at held ones, and the border rows.
 
     Raises
     ------
@@ -44,7 +44,7 @@ class Problem:
 
     @cached_property
     def free(self) -> Mask:
-        """(N,) nodes that are solved for."""
+        """(N,) nodes whose x is unknown."""
         return ~self.support.held
 
     @cached_property
@@ -53,13 +53,13 @@ class Problem:
         return np.flatnonzero(self.support.held)
 
     def force(self, load: Load) -> Array:
-        """(N, d) generalised force [N] of contact and gravity (right-hand sides of 23 and 24), its own array."""
+        """(N, d) generalised force [N] of contact and gravity (right-hand sides of 23 and 24), a new array."""
         force = self.formulation.contact_force(self.support.signed(load))
         if self.support.hydrostatic is not None:
             force = force + self.formulation.pressure_force(self.support.hydrostatic)
         if load.dead_force is not None:
             force = force + self._dead_force(load.dead_force)
-        # a step keeps the force, and the caller may change the load
+        # a copy: a step keeps the force, and the caller may change the load
         return force.copy() if force is load.contact_force else force
 
     def _dead_force(self, force: Array) -> Array:
@@ -80,9 +80,9 @@ class Problem:
         return values
 
     def own_motion(self, force: Array) -> Array:
-        """(N, d) how far each free node's part of a force (N, d) moves it with its neighbours held; zero elsewhere.
+        """(N, d) motion of each free node alone under its part of a force (N, d), neighbours held; zero elsewhere.
 
-        What rounding is measured by where forces cancel: a pressure from all sides moves nothing.
+        It is the scale of rounding errors where forces cancel: a pressure from all sides moves nothing.
         """
         moved: Array = np.abs(force) / self._diagonal
         moved[self.held_nodes] = 0.0
@@ -118,8 +118,8 @@ class Problem:
 class Step(ABC):
     """One load step on N nodes, SI units; `unknown` (N, d) and `border` (m,) start the next step.
 
-    What follows from these two is computed when it is first read, and kept: a frame that asks for no reactions does
-    not pay for them. The arrays of a step are its own and not to be written to.
+    Results are computed from these two when first read, and kept: a frame without reactions does not pay for
+    them. The arrays of a step are read-only.
     """
 
     problem: Problem = field(repr=False)
@@ -151,7 +151,7 @@ class Step(ABC):
 
     @cached_property
     def reaction_force(self) -> Array:
-        """(N, 3) what the support exerts on the body [N], zero at free nodes."""
+        """(N, 3) force of the support on the body [N], zero at free nodes."""
         lacking = np.zeros(self.unknown.shape)
         lacking[self.problem.held_nodes] = self.lacking_at_held()
         return self.problem.formulation.nodal_force(lacking)
@@ -163,7 +163,7 @@ class Step(ABC):
 
     @abstractmethod
     def lacking_at_held(self) -> Array:
-        """(n_held, d) generalised force that the balance lacks at held nodes: internal less fluid and contact."""
+        """(n_held, d) generalised force missing in the balance of held nodes: internal less fluid and contact."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +189,7 @@ class LinearStep(Step):
         formulation = self.problem.formulation
         if self.held_force is None:
             return formulation.internal_force(self.unknown, self.border, self.product)
-        # the free nodes balance what acts on them
+        # at free nodes the internal force balances fluid and contact
         balanced = self.force + formulation.columns.times(self.border)
         balanced[self.problem.held_nodes] = self.held_force()
         return formulation.internal_force(self.unknown, self.border, balanced)
@@ -202,9 +202,9 @@ class LinearStep(Step):
 
     @property
     def normal_traction(self) -> Array:
-        """(N,) what the material gives along the normals, over the area that a pressure acts on [Pa].
+        """(N,) normal force of the material over the area that a pressure acts on [Pa].
 
-        At free nodes it balances fluid and contact (9, as the tension of equation 8 has it).
+        At free nodes it balances fluid and contact (9, with the tension of equation 8).
         """
         formulation = self.problem.formulation
         normals = formulation.surface.normals
@@ -225,9 +225,9 @@ class LinearStep(Step):
 def check_held(
     formulation: type[Formulation], surface: SurfaceMesh, parameters: Parameters, held: Mask
 ) -> None:
-    """Refuses supports that leave a motion free which costs no energy, before anything is assembled.
+    """Refuse supports that leave a motion free which costs no energy, before assembly.
 
-    A factor of the singular operator may exist to rounding, and answers with displacements of any size.
+    Rounding may give the singular operator a factor, which answers with displacements of any size.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What an answer that is computed right may still lack: a form that does not know its body, a mesh too coarse."""
+"""Reservations about a correct solution: the form does not fit its body, or the mesh is too coarse."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from vdm.peers.bem import MAX_NODES, BoundaryFormulation
 from vdm.peers.bem_sparse import SparseFormulation
 from vdm.solution import Status
 
-# of the displacement, from which on an error is told: the form of boundary integrals was wrong by 1.1 to 2.2 times
-# that of the known bendings, and by 0.4 to 1.1 times that of its mesh, on bodies that nobody tuned it for
+# smallest relative error that is reported. On bodies that it was not tuned for, the form of boundary integrals
+# was wrong by 1.1 to 2.2 times the error of the known bendings, and by 0.4 to 1.1 times that of its mesh
 LIMIT = 0.1
 
 _INSIDE = (
@@ -30,10 +30,10 @@ def reserved(
     parts: float = np.nan,
     shape: float = np.nan,
 ) -> Status:
-    """The status of a step, with a reservation where one of three errors is beyond `LIMIT`; NaN is none.
+    """The status of a step, with a reservation where one of three errors exceeds `LIMIT`; NaN counts as none.
 
-    `bending` is that of `vdm.bending`, of the form on this body; the second the sum of `mesh`, of `vdm.mesh_error`
-    for this load, and of what twice as many `parts` change, in shape too; the third `shape`, of `vdm.mesh_error`.
+    The first error is `bending`, from `vdm.bending`. The second is `mesh`, from `vdm.mesh_error` for this load,
+    plus the change by twice as many `parts`, in shape too. The third is `shape`, from `vdm.mesh_error`.
     """
     left = float(np.nansum([mesh, parts]))
     if not status.ok:
@@ -69,7 +69,7 @@ def reserved(
 
 
 def _finer(form: BoundaryFormulation, error: float, where: str) -> str:
-    # the error falls with the square of the mesh size, and that with the root of the nodes
+    # the error goes as the square of the mesh size, and so as one over the nodes
     nodes = form.n_coarse
     most = COARSE_NODES_RANGE[1] if isinstance(form, SparseFormulation) else MAX_NODES
     wanted = 100 * int(np.ceil(nodes * error / (100.0 * LIMIT)))

@@ -1,4 +1,4 @@
-"""What a VDM solve returns, in the form that the elements answer in too."""
+"""The result of a VDM solve, in the same form as that of the finite elements."""
 
 from solver_common.solution import CONVERGED, Solution, SolverError, Status
 

@@ -28,11 +28,10 @@ class SurfaceMesh:
     Parameters
     ----------
     points : (N, 3) coordinates [m]
-    triangles : (F, 3) indices into `points`, counter-clockwise seen from where there is no body; or flat as in
-        `pyvista.PolyData.faces`, where a 3 stands before each
-    merge : whether points at the very same place become one, in the order in which they first come; readers of STL
-        may give each facet corners of its own
-
+    triangles : (F, 3) indices into `points`, counter-clockwise seen from the empty side; or flat as in
+        `pyvista.PolyData.faces`, with a 3 before each
+    merge : whether points at exactly the same place become one, in order of first appearance; STL readers may
+        give each facet its own corners
     Raises
     ------
     SurfaceError
@@ -59,7 +58,7 @@ class SurfaceMesh:
         except SurfaceError as error:
             raise _with_duplicates(error, self.points) from None
 
-        # V = (1/6) sum of x0 . (x1 x x2), taken about the centroid so that no digits are lost far from the origin
+        # V = (1/6) sum of x0 . (x1 x x2), about the centroid: no digits are lost far from the origin
         centred = corners[0] - self.points.mean(axis=0)
         self.volume = float(np.einsum("fi,fi->", centred, vectors)) / 3.0
         if self.volume <= 0.0:
@@ -79,7 +78,7 @@ class SurfaceMesh:
 
     @property
     def facet_vectors(self) -> Array:
-        """(F, 3) facet normal times facet area [m^2]; computed anew, it is needed at set-up only."""
+        """(F, 3) facet normal times facet area [m^2]; computed at each call, as only the set-up needs it."""
         return facet_vectors(*self._corners())
 
     @cached_property
@@ -127,15 +126,15 @@ class SurfaceMesh:
 
     @property
     def raw_cotangent_weights(self) -> Array:
-        """(E,) (cot a + cot b) / 2 of the two angles opposite each edge; negative where they exceed pi together.
+        """(E,) (cot a + cot b) / 2 of the two angles opposite each edge; negative where their sum exceeds pi.
 
-        Computed anew: what is kept are the clamped ones.
+        Computed at each call; only the clamped ones are kept.
         """
         a, b, c = self._corners()
         sides = b - a, c - b, a - c
         weights = np.zeros(len(self.edges))
         for k in range(3):
-            # from corner k to the next one, and from the one before it to corner k
+            # from corner k to the next one, and from the previous one to corner k
             cotangent = -np.einsum("fi,fi->f", sides[k], sides[k - 1]) / (2.0 * self.facet_areas)
             # facet_edges[:, k] joins corners k and k + 1, so the edge opposite corner k is number k + 1
             weights += np.bincount(self.facet_edges[:, (k + 1) % 3], 0.5 * cotangent, len(self.edges))
@@ -170,7 +169,7 @@ class SurfaceMesh:
 
     def laplacian(self, weights: Array) -> sparse.csr_array:
         """(N, N) graph Laplacian of (E,) edge weights: row i is sum_j w_ij (x_i - x_j)."""
-        # 32 bits: half the memory of the indices, and what the factor's library takes without a copy
+        # 32 bits: half the index memory, and the factor's library takes them without a copy
         i, j = np.ascontiguousarray(self.edges.T)
         diagonal = np.bincount(i, weights, self.n_nodes) + np.bincount(j, weights, self.n_nodes)
         nodes = np.arange(self.n_nodes, dtype=np.int32)
@@ -184,7 +183,7 @@ class SurfaceMesh:
 
 
 def rigid_motions(surface: SurfaceMesh, nodes: Mask) -> Array:
-    """(n, 3, 6) at `nodes` (N,): unit translations, and rotations about the centroid over the body's radius."""
+    """(n, 3, 6) at `nodes` (N,): unit translations, and rotations about the centroid, over the body's radius."""
     arms = (surface.points[nodes] - surface.points.mean(axis=0)) / surface.equivalent_radius
     motions = np.empty((len(arms), 3, 6))
     motions[:, :, :3] = np.eye(3)
@@ -222,7 +221,7 @@ def _merged(points: Array, triangles: Index) -> tuple[Array, Index]:
 
 
 def _with_duplicates(error: SurfaceError, points: Array) -> SurfaceError:
-    """The same refusal; where points share their place, that may be all that is wrong."""
+    """The same error, with a hint where points share their place: that may be its only cause."""
     _, first, count = np.unique(points, axis=0, return_index=True, return_counts=True)
     extra = len(points) - len(count)
     if not extra:
@@ -248,7 +247,7 @@ def _check_arrays(points: Array, triangles: Index) -> None:
 
 
 def cross(u: Array, v: Array) -> Array:
-    """(n, 3) u x v; component by component, which is several times faster than np.cross."""
+    """(n, 3) u x v, by components: several times faster than np.cross."""
     (ux, uy, uz), (vx, vy, vz) = u.T, v.T
     return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
 
@@ -259,7 +258,7 @@ def facet_vectors(a: Array, b: Array, c: Array) -> Array:
 
 
 def lengths(vectors: Array) -> Array:
-    """(n,) of vectors (n, 3)."""
+    """(n,) lengths of vectors (n, 3)."""
     return np.asarray(np.sqrt(np.einsum("nc,nc->n", vectors, vectors)))
 
 
@@ -274,13 +273,13 @@ def _check_facets(corners: tuple[Array, Array, Array], areas: Array) -> None:
 def _edges(triangles: Index, n_nodes: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """(E, 2) edges with the smaller node first, in ascending order, and (F, 3) the edges of each facet.
 
-    Edge k of a facet starts at its corner k. Of a closed, oriented manifold each is one half of an edge: those that
-    rise to the greater node and those that fall to the smaller one are the same pairs.
+    Edge k of a facet starts at its corner k. On a closed, oriented manifold each edge is a pair of halves: one
+    rises to the larger node, the other falls to the smaller one.
     """
     start, end = (c.ravel().astype(np.int32) for c in (triangles, np.roll(triangles, -1, axis=1)))
     rising, falling = (np.flatnonzero(way).astype(np.int32) for way in (start < end, start > end))
     shape = (n_nodes, n_nodes)
-    # sorted by counting, row by row; halves of the same pair would be added to one entry
+    # counting sort, row by row; duplicate halves would be added into one entry
     up = sparse.csr_array((rising, (start[rising], end[rising])), shape=shape)
     down = sparse.csr_array((falling, (end[falling], start[falling])), shape=shape)
     if not (
@@ -303,12 +302,12 @@ def _edges(triangles: Index, n_nodes: int) -> tuple[NDArray[np.int32], NDArray[n
 def _shells(points: Array, triangles: Index, corners: Array, vectors: Array) -> Index:
     """(F,) the closed piece of each facet: 0 the outer one, the others walls of cavities within it.
 
-    `corners` and `vectors` (F, 3): each facet's first corner, and its normal times its area.
+    `corners` (F, 3) is each facet's first corner; `vectors` (F, 3) its normal times its area.
 
     Raises
     ------
     SurfaceError
-        a piece that is not within the outer one alone, or not turned to the inside of its cavity.
+        a piece that is not within the outer one alone, or not oriented into its cavity.
     """
     piece = closed_pieces(triangles)
     count = int(piece.max()) + 1
@@ -327,7 +326,7 @@ def _shells(points: Array, triangles: Index, corners: Array, vectors: Array) -> 
 
 
 def _refuse_edges(start: NDArray[np.int32], end: NDArray[np.int32], n_nodes: int) -> NoReturn:
-    """Says of half edges that do not pair up what is wrong with the first such edge."""
+    """Raise an error that describes the first half edge without a counterpart."""
     keys = np.minimum(start, end) * np.int64(n_nodes) + np.maximum(start, end)
     unique, inverse, use = np.unique(keys, return_inverse=True, return_counts=True)
     balance = np.bincount(inverse, np.where(start < end, 1.0, -1.0))
@@ -352,11 +351,11 @@ def _refuse_edges(start: NDArray[np.int32], end: NDArray[np.int32], n_nodes: int
 
 
 def _check_fans(triangles: Index, opposite: NDArray[np.int32], n_nodes: int) -> None:
-    """Every node must have a single fan of facets: a walk round it from one corner must pass them all.
+    """Check that every node has a single fan of facets: a walk round it from one corner must pass them all.
 
     `opposite` (3F,): the other half of the half edge that starts at each corner.
     """
-    # the half edge that ends at a corner, seen from the next facet, starts there
+    # the half edge that ends at a corner starts there as seen from the next facet
     around = np.roll(opposite.reshape(-1, 3), 1, axis=1).ravel()
     nodes = triangles.ravel()
     first = np.empty(n_nodes, dtype=np.int32)

@@ -13,15 +13,15 @@ from vdm.boundary.collapses import costs, usable
 from vdm.boundary.spacing import evenly_spaced
 from vdm.surface import SurfaceMesh
 
-# the shares of the edges that a round looks at, the shortest, and of the nodes found that it may take, the cheapest
+# share of the edges that a round considers, the shortest, and of the nodes found that it may collapse, the cheapest
 SHARE = 0.2
-# numbers near 1 that are the same to as many decimals are taken as equal
+# numbers near 1 that agree to this many decimals count as equal
 DECIMALS = 10
 
 
 @dataclass(frozen=True)
 class CoarseSurface:
-    """The coarse surface; its nodes lie at the `shares` (n, 3) of fine nodes, `corners` (n, 3) of a triangle."""
+    """The coarse surface. Its nodes lie on fine triangles, at `shares` (n, 3) of their `corners` (n, 3)."""
 
     surface: SurfaceMesh
     corners: Index
@@ -29,13 +29,13 @@ class CoarseSurface:
 
 
 def coarsened(surface: SurfaceMesh, count: int, held: Mask | None = None) -> CoarseSurface:
-    """A surface on about `count` points of the given one, or on more where its shape allows no further collapse.
+    """A surface on about `count` points of the given one, or on more where no more can collapse.
 
-    A node is moved onto a neighbour if the two share just two neighbours (which keeps the topology), no facet
-    turns over or degenerates and the new edges are the shortest to be had. Each round takes nodes whose
-    neighbourhoods do not touch, all at once. What is left slides over the surface until it is evenly spaced.
-    Lengths are in units of the mesh size around: where the mesh is fine, so is the coarse one. At the rim of the
-    nodes that are `held` (N,) it is finer, up to half as coarse.
+    A node moves onto a neighbour if the two share just two neighbours (which keeps the topology) and no facet
+    turns over or degenerates. The shortest new edges go first. Each round moves all nodes whose neighbourhoods do
+    not touch. The remaining nodes then slide over the surface until they are evenly spaced. Lengths are in units
+    of the local mesh size, so that the coarse mesh keeps the grading of the fine one. At the rim of the `held`
+    nodes (N,) it is finer, by up to half.
     """
     order = node_order(surface)
     sizes = np.sqrt(surface.nodal_areas)
@@ -71,13 +71,13 @@ def coarsened(surface: SurfaceMesh, count: int, held: Mask | None = None) -> Coa
 
 
 def nearest(surface: SurfaceMesh, coarse: CoarseSurface) -> Index:
-    """(N,) the coarse node that is nearest along the edges, and straight over the triangle that it lies on."""
+    """(N,) the nearest coarse node: distances follow the edges, and go straight across its own triangle."""
     n, count = surface.n_nodes, coarse.surface.n_nodes
     node, corner = np.nonzero(coarse.shares)
     start = np.concatenate([surface.edges[:, 0], coarse.corners[node, corner]])
     end = np.concatenate([surface.edges[:, 1], n + node])
     points = np.concatenate([surface.points, coarse.surface.points])
-    # none is nothing: an entry of zero is no edge
+    # a stored zero would be no edge
     lengths = np.linalg.norm(points[start] - points[end], axis=1) + np.finfo(np.float64).tiny
     graph = sparse.csr_array((lengths, (start, end)), shape=(n + count, n + count))
     _, _, sources = csgraph.dijkstra(
@@ -89,8 +89,8 @@ def nearest(surface: SurfaceMesh, coarse: CoarseSurface) -> Index:
 def _grading(surface: SurfaceMesh, count: int, held: Mask) -> Array:
     """(N,) mesh sizes over those of a uniform coarse mesh of `count` nodes: the root of the distance to the rim.
 
-    A field that grows as this root is evenly resolved so (`vdm.boundary.rims`). The distance is in coarse mesh
-    sizes; beyond one the mesh is uniform, below a quarter the first node is reached.
+    Such a mesh resolves a field that grows as this root evenly (`vdm.boundary.rims`). The distance, in coarse
+    mesh sizes, is clipped to 1/4 (the first node) and 1 (a uniform mesh).
     """
     i, j = surface.edges.T
     rim = np.unique(surface.edges[held[i] != held[j]])
@@ -104,18 +104,18 @@ def _grading(surface: SurfaceMesh, count: int, held: Mask) -> Array:
 
 
 def node_order(surface: SurfaceMesh) -> Index:
-    """(N,) the nodes in an order that scatters over the surface, by its shape: not by their numbers nor its pose.
+    """(N,) the nodes in a scattered order that depends on the shape alone, not on node numbers or pose.
 
-    They are sorted by a number that no rotation, reflection or scaling moves: the distance from the middle squared
-    and the quadratic and cubic forms of the nodes' own moments. A fixed shuffle of the places scatters them.
-    Nodes that the mesh's own symmetry makes equal go by their coordinates.
+    The sort key is invariant to rotation, reflection and scaling: the squared distance from the middle plus the
+    quadratic and cubic forms of the nodes' own moments. A fixed shuffle then scatters the order. Nodes that a
+    symmetry of the mesh makes equal are sorted by their coordinates.
     """
     x = surface.points - surface.points.mean(axis=0)
     x = x / np.sqrt(np.square(x).sum(axis=1).mean())
     n = len(x)
     pairs = np.einsum("ni,nj->nij", x, x).reshape(n, 9)
     second, third = x.T @ x / n, pairs.T @ x / n
-    # irrational weights: whole ones let the terms cancel on regular meshes
+    # irrational weights: with whole numbers the terms cancel on regular meshes
     number = np.square(x).sum(axis=1)
     number += np.sqrt(2.0) * (pairs @ second.reshape(-1)) + np.sqrt(3.0) * ((pairs @ third) * x).sum(axis=1)
     ascending = np.lexsort((*np.round(x, DECIMALS).T, np.round(number, DECIMALS)))
@@ -123,7 +123,7 @@ def node_order(surface: SurfaceMesh) -> Index:
 
 
 def _candidates(points: Array, size: Array, triangles: Index, share: float) -> tuple[Index, Index]:
-    """Nodes (k,) that may go, the cheapest ones, each onto its cheapest neighbour (k,)."""
+    """Cheapest nodes (k,) that may collapse, and the cheapest neighbour (k,) of each, onto which it moves."""
     # every edge once in each direction
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     by_start = np.argsort(start, kind="stable")
@@ -144,7 +144,7 @@ def _candidates(points: Array, size: Array, triangles: Index, share: float) -> t
 
 
 def _at_share(values: Array, share: float) -> float:
-    """The value that so many of some (k,) are at most."""
+    """The `share` quantile of values (k,)."""
     k = int(share * (len(values) - 1))
     return float(np.partition(values, k)[k])
 
@@ -152,7 +152,8 @@ def _at_share(values: Array, share: float) -> float:
 def _independent(triangles: Index, n: int, nodes: Index, random: np.random.Generator) -> Index:
     """Positions in `nodes` of some whose closed neighbourhoods share no node.
 
-    The order is random: by cost, which varies slowly over a surface, few nodes would be the cheapest around.
+    The order is random. Cost varies slowly over a surface, so that few nodes would be the cheapest of their
+    neighbourhood.
     """
     rank = np.full(n, len(nodes))
     rank[nodes] = random.permutation(len(nodes))
@@ -163,5 +164,5 @@ def _independent(triangles: Index, n: int, nodes: Index, random: np.random.Gener
         np.minimum.at(least, start, values[end])
         return least
 
-    # the least rank within two edges: whoever holds it wins
+    # a node is taken if it has the least rank within two edges
     return np.flatnonzero(least_around(least_around(rank))[nodes] == rank[nodes])

@@ -18,12 +18,12 @@ OFF_PLANE = 8.0
 
 @compiled
 def usable(end, by_start, first):
-    """(3m,) whether the ends of a half-edge share just two neighbours, and three to nine are left of both.
+    """(3m,) whether the two ends of a half-edge share exactly two neighbours and keep three to nine together.
 
-    Two are left of a tetrahedron: a shell, as of a small cavity, keeps four nodes.
+    A tetrahedron would keep two: the shell of a small cavity therefore keeps four nodes.
     """
     may = np.zeros(len(end), np.bool_)
-    around = np.full(len(first) - 1, -1)  # of which node each was last seen as a neighbour
+    around = np.full(len(first) - 1, -1)  # for each node, the last node that had it as a neighbour
     for i in range(len(first) - 1):
         for one in range(first[i], first[i + 1]):
             around[end[by_start[one]]] = i
@@ -39,9 +39,9 @@ def usable(end, by_start, first):
 
 @compiled
 def costs(points, size, triangles, half, by_start, first):
-    """(k,) of moving the start of some half-edges (k,) onto its end; -1 where a facet would turn or degenerate.
+    """(k,) cost of moving the start of a half-edge (k,) onto its end; -1 where a facet would turn or degenerate.
 
-    The longest new edge in units of the `size` (n,) around, and how far the end is off the plane of a facet.
+    Cost: the longest new edge in units of the local mesh `size` (n,), plus the end's distance off a facet's plane.
     """
     found = np.empty(len(half))
     for k in range(len(half)):
@@ -82,5 +82,5 @@ def _dot(a, b):
 
 @compiled
 def _square(a, b):
-    """Of the distance of two points."""
+    """Squared distance of two points."""
     return (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2

@@ -1,6 +1,6 @@
-"""The integrals of `vdm.boundary.kernels` for facets far apart: three points each, without a table of rules.
+"""The integrals of `vdm.boundary.kernels` for facets far apart, by three points on each and without a table.
 
-Nine tenths of all pairs are far. This takes a fifteenth of the time of `add_rule` for the same points.
+Nine tenths of all pairs are far. For the same points this takes a fifteenth of the time of `add_rule`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from solver_common.jit import compiled
 
 @compiled
 def _between(x, y0, y1, y2):
-    """For a point (y0, y1, y2) and three points x (9,): the three 1/r^3, and the sums of r r / r^3."""
+    """From three points x (9,) to a point (y0, y1, y2): three values of 1/r^3, and six sums of r r / r^3."""
     ax, ay, az = y0 - x[0], y1 - x[1], y2 - x[2]
     bx, by, bz = y0 - x[3], y1 - x[4], y2 - x[5]
     cx, cy, cz = y0 - x[6], y1 - x[7], y2 - x[8]
@@ -33,10 +33,10 @@ def _between(x, y0, y1, y2):
 
 @compiled
 def far_row(f, points, normals, totals):
-    """Write the twelve integrals of facet f with all facets before it to `totals` (12, F), over both areas.
+    """Write the twelve integrals of facet f with every facet before it to `totals` (12, F), over both areas.
 
-    By three points on each facet, (3 points, 3 coordinates, F), each nearest to its corner; normals (3, F). What is
-    written for facets that are not far is to be overwritten.
+    `points` are (3 points, 3 coordinates, F), each nearest to its corner; `normals` are (3, F). Values for facets
+    that are not far are wrong: the caller overwrites them.
     """
     x = (
         points[0, 0, f],
@@ -66,7 +66,7 @@ def far_row(f, points, normals, totals):
         totals[3, g] = share * (axy + bxy + cxy)
         totals[4, g] = share * (axz + bxz + cxz)
         totals[5, g] = share * (ayz + byz + cyz)
-        # heights of the points of f under the plane of g, which r . n_g is all over g, and the other way round
+        # r . n_g is the height of a point of f under the plane of g, for all points of g; and f and g exchanged
         plane = ax * nx + ay * ny + az * nz
         h0 = plane - (x[0] * nx + x[1] * ny + x[2] * nz)
         h1 = plane - (x[3] * nx + x[4] * ny + x[5] * nz)

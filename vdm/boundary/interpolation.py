@@ -1,4 +1,4 @@
-"""From the nodes of a coarse surface to those of the fine one that it stands for, and back as the transpose."""
+"""Interpolation from the nodes of a coarse surface to those of the fine one; its transpose gathers forces."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from solver_common.arrays import Array, Index
 from vdm.boundary.coarsening import CoarseSurface, nearest
 from vdm.surface import SurfaceMesh
 
-# a direction in which a stencil is flatter than this share of its width bears no linear term
+# in a direction where a stencil is flatter than this share of its width, it gets no linear term
 FLAT = 1e-6
-# of weights and positions
+# largest rounding error of weights and of positions
 ROUNDING = 1e-11
-# of the absolute weights of a node: beyond it the stencil is too flat for what it must carry
+# largest sum of absolute weights of a node; a stencil with a larger sum is too flat and grows
 LARGEST_SUM = 5.0
 
 
 @dataclass(frozen=True)
 class Interpolation:
-    """`weights` (N, n), whose rows sum to 1, and `cells` (N,): the coarse node nearest along the surface."""
+    """`weights` (N, n), with rows of sum 1, and `cells` (N,): the coarse node nearest along the surface."""
 
     weights: sparse.csr_array
     cells: Index
@@ -30,9 +30,8 @@ class Interpolation:
 def interpolation(surface: SurfaceMesh, coarse: CoarseSurface) -> Interpolation:
     """Smooth interpolation by r^3 and linear terms over a coarse node and its two rings (Wendland 2005, section 8).
 
-    Rings follow the surface, so that the two sides of a thin part do not see each other. They grow where the
-    coarse nodes are flatter than the fine ones between them, until linear fields, and with them rigid motions,
-    are exact.
+    Rings follow the surface, so that one side of a thin part does not see the other. A stencil gains rings where
+    its nodes are flatter than the fine nodes between them, until linear fields, and so rigid motions, are exact.
     """
     n, count = surface.n_nodes, coarse.surface.n_nodes
     cells = nearest(surface, coarse)
@@ -54,7 +53,7 @@ def interpolation(surface: SurfaceMesh, coarse: CoarseSurface) -> Interpolation:
         columns.append(np.tile(stencil, len(nodes)))
         values.append(weights.ravel())
     data = np.concatenate(values)
-    # a node where a coarse one is takes its value: what rounding leaves of the others is no neighbour
+    # a fine node at the place of a coarse one takes its value alone: the other weights are rounding
     data[np.abs(data) < ROUNDING] = 0.0
     # 32 bits: a product reads a quarter less
     i, j = (np.concatenate(part).astype(np.int32) for part in (rows, columns))
@@ -64,12 +63,12 @@ def interpolation(surface: SurfaceMesh, coarse: CoarseSurface) -> Interpolation:
 
 
 def identity(count: int) -> Interpolation:
-    """Of a surface that is its own coarse one."""
+    """The interpolation of a surface of `count` nodes that is its own coarse surface."""
     return Interpolation(sparse.csr_array(sparse.eye_array(count)), np.arange(count))
 
 
 def _cell(ring: sparse.csr_array, stencil: Index, coarse: Array, targets: Array) -> tuple[Index, Array]:
-    """The stencil (m,) of a cell, its two rings or more, and the weights (t, m) of its fine nodes at `targets`."""
+    """The stencil (m,) of a coarse node, two rings or more, and its weights (t, m) in the fine nodes `targets`."""
     while True:
         weights = _polyharmonic(coarse[stencil], targets)
         off = np.abs(weights @ coarse[stencil] - targets).max()
@@ -77,7 +76,7 @@ def _cell(ring: sparse.csr_array, stencil: Index, coarse: Array, targets: Array)
         if exact and np.abs(weights).sum(axis=1).max() <= LARGEST_SUM:
             return stencil, weights
         wider = _around(ring, stencil)
-        if len(wider) == len(stencil):  # a whole shell, as of a small cavity, has nothing around it
+        if len(wider) == len(stencil):  # the whole shell of a small cavity: no nodes are left to add
             return stencil, weights
         stencil = wider
 
@@ -88,7 +87,7 @@ def _around(ring: sparse.csr_array, nodes: Index) -> Index:
 
 
 def _polyharmonic(stencil: Array, targets: Array) -> Array:
-    """(t, m) weights of the m stencil points in the value at t targets."""
+    """(t, m) weights of the values at m stencil points in the value at each of t targets."""
     centre = stencil.mean(axis=0)
     centred = stencil - centre
     width, axes = np.linalg.svd(centred, full_matrices=False)[1:]

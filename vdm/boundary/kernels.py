@@ -1,10 +1,10 @@
 """Double integrals of 1/r, r r / r^3 and of Laplace's double layer over pairs of facets, compiled.
 
-Of a facet f with points x and a facet g with points y, r = y - x:
+For a facet f with points x, a facet g with points y and r = y - x, the integrals are
 
-`B = int int r r / r^3` (six numbers; its trace is that of 1/r), and for each corner a of g with the shape function
-phi_a `k_a = -1/(4 pi) int int (r . n_g) phi_a / r^3` (Laplace's double layer, tested with a constant on f), and the
-same with f and g exchanged. They do not depend on the material.
+`B = int int r r / r^3` (six numbers; its trace is the integral of 1/r), and for each corner a of g with the shape
+function phi_a `k_a = -1/(4 pi) int int (r . n_g) phi_a / r^3` (Laplace's double layer, tested with a constant on
+f), and the same with f and g exchanged. They do not depend on the material.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from vdm.boundary.far import far_row
 from vdm.boundary.plane import add_near, graded
 from vdm.boundary.quadrature import Rule, sixteen_points, touching
 
-# distance of two facets' centres over the sum of their radii, from which a product of two rules is enough
+# distance of two facets' centres over the sum of their radii: from here on a product of two rules is accurate
+# enough
 FAR, MIDDLE, NEAR = 4.0, 2.0, 1.15
-# the same, from which 16 even points beside a facet in closed form are closer than 75 that crowd at the edges, for
-# facets that do not touch
+# the same ratio for facets that do not touch: from here on 16 even points beside a closed form are more accurate
+# than 75 points that crowd at the edges
 CLOSE = 0.8
-# longest edge over its height, up to which the maps of facets that touch have points enough
+# largest ratio of longest edge to height for which the maps of touching facets have enough points
 SLENDER = 3.0
 # the twelve integrals of a pair: xx, yy, zz, xy, xz, yz of B, k of g by its corners, k of f by its corners
 COUNT = 12
 
 
 def rules() -> tuple[Array, Index, Array, Array, Array, Array]:
-    """All rules as one table (5, n) of two coordinates of x, two of y and the weight, and each rule's start (6,).
+    """All rules in a table (5, n) of two coordinates of x, two of y and the weight, and each rule's start (6,).
 
-    Last the points and weights beside which one of two near facets is in closed form: those of
-    `vdm.boundary.plane.graded` where they touch or are close, else 16 even ones.
-
-    In the order: one vertex, one edge, the same facet, then middle and near facets that do not touch.
+    Order: one common vertex, one common edge, the same facet, then middle and near facets that do not touch.
+    The last outputs are points and weights for one facet where the other is integrated in closed form: those of
+    `vdm.boundary.plane.graded` for facets that touch or are close, 16 even ones for the others.
     """
     parts = [
         *touching(),
@@ -53,9 +53,9 @@ def _product(points: Array, weights: Array) -> Rule:
 
 @compiled
 def add_rule(table, lower, upper, corners, normals, f, g, i, j, total):
-    """Add to `total` (12,) the integrals over facets f and g, of corners (F, 3, 3) and normals (F, 3).
+    """Add the integrals over facets f and g to `total` (12,); corners are (F, 3, 3), normals (F, 3).
 
-    The rule's first to third corners are those of numbers i and j (3,).
+    i and j (3,) number the corners of f and g in the order of the rule.
     """
     # r = s + y1 c + y2 d - x1 a - x2 b
     px, py, pz = corners[f, i[0], 0], corners[f, i[0], 1], corners[f, i[0], 2]
@@ -68,7 +68,7 @@ def add_rule(table, lower, upper, corners, normals, f, g, i, j, total):
     mx, my, mz = normals[f, 0], normals[f, 1], normals[f, 2]
     nx, ny, nz = normals[g, 0], normals[g, 1], normals[g, 2]
     xx = yy = zz = xy = xz = yz = g0 = g1 = g2 = f0 = f1 = f2 = 0.0
-    # contiguous parts, counted from zero: else the compiler does not take several points at once
+    # contiguous slices that start at zero: only these let the compiler vectorise the loop over points
     first, second, third = table[0][lower:upper], table[1][lower:upper], table[2][lower:upper]
     fourth, weights = table[3][lower:upper], table[4][lower:upper]
     for k in range(len(weights)):
@@ -115,7 +115,7 @@ def _square(x, y):
 
 @compiled
 def _add_others(i, n):
-    """Let those of the corners 0, 1, 2 that are not among the first n of i (3,) follow them."""
+    """Complete i (3,) behind its first n entries with the missing ones of 0, 1, 2."""
     for c in range(3):
         is_other = True
         for a in range(n):
@@ -127,9 +127,9 @@ def _add_others(i, n):
 
 @compiled
 def _shared_first(t, v, p, q, i, j):
-    """Number of nodes that facets of nodes t and v (3,) share; i, j (3,) become their corners, shared ones first.
+    """Number of common nodes of facets t and v (3,); i and j (3,) become their corners, common ones first.
 
-    Their order is one of lengths, so that a mirror image of the body has the same one.
+    Lengths decide the order, so that a mirror image of the body has the same one.
     """
     shared = 0
     for a in range(3):
@@ -139,7 +139,7 @@ def _shared_first(t, v, p, q, i, j):
                 shared += 1
     _add_others(i, shared)
     _add_others(j, shared)
-    # distance from the corners that are not shared, of one facet with itself from both others
+    # distance to the corners that are not shared; of a facet with itself to both others
     far = np.zeros(3)
     if shared == 2:
         for a in range(2):
@@ -158,11 +158,10 @@ def _shared_first(t, v, p, q, i, j):
 
 @compiled
 def integrate_near(mesh, f, g, ratio, rules, space):
-    """Add the twelve integrals of near facets f and g over the product of their areas to the last part of `space`.
+    """Add the twelve integrals of near facets f and g, per product of their areas, to the last part of `space`.
 
-    `mesh` is the corners (F, 3, 3), triangles, normals, areas, centres (F, 3), radii (F,) and how slender they are
-    (F,); `ratio` the distance of their centres over the sum of their radii; `rules` what the function of that name
-    gives.
+    `mesh` holds corners (F, 3, 3), triangles, normals, areas, centres (F, 3), radii (F,) and slenderness (F,).
+    `ratio` is the distance of the centres over the sum of the radii; `rules` is the result of `rules()`.
     """
     corners, triangles, normals, areas, _, _, slender = mesh
     table, starts, graded_points, graded_weights, even_points, even_weights = rules
@@ -189,12 +188,12 @@ def _space():
 
 @compiled
 def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, double):
-    """Add up V, tr(B) and Laplace's K over all pairs of facets, each once, for tractions P and forms M.
+    """Add V, tr(B) and Laplace's K over all pairs of facets, each pair once, for tractions P and forms M.
 
-    V = `factors[0]` tr(B) I + `factors[1]` B, as X of V = X + X^T, is nowhere kept: `sums` are P^T X P (3P, 3P),
-    P^T X M (3P, 3N), M^T X P and M^T X M, all of zeros at first. P makes the traction of each facet of those that
-    it shares, by the `tractions` of `vdm.boundary.operators.Facets`; M^T makes v x c of a vector v of a facet, at
-    each corner, with the `curls` c (F, 3, 3). tr(B) (F, F) is below the diagonal; Laplace's K is (F, N). `points`
+    V = `factors[0]` tr(B) I + `factors[1]` B, split as V = X + X^T, is not stored. `sums` are P^T X P (3P, 3P),
+    P^T X M (3P, 3N), M^T X P and M^T X M, zero on entry. P makes each facet's traction from the one that it
+    shares, by the `tractions` of `vdm.boundary.operators.Facets`. M^T turns a vector v of a facet into v x c at
+    each corner, by the `curls` c (F, 3, 3). tr(B) (F, F) is below the diagonal; Laplace's K is (F, N). `points`
     (3, 3, F) are those of `vdm.boundary.far`.
     """
     corners, triangles, normals, areas, centres, radii, _ = mesh
@@ -204,24 +203,24 @@ def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, dou
     totals = np.zeros((COUNT, len(triangles)))
     space, as_they_are = _space(), np.arange(3)
     total = space[-1]
-    # a row of facets, and what it is for tractions and forms
+    # V of one facet with all before it; then its products with P and M
     row = np.zeros((len(triangles), 6), sums[0].dtype)
     pushed = np.zeros((sums[1].shape[0], 3), sums[0].dtype)
     turned = np.zeros((sums[1].shape[1], 3), sums[0].dtype)
-    # what facets are of so far: neither tractions nor nodes beyond
+    # tractions and nodes of the facets so far: the arrays beyond are untouched
     n_tractions = n_nodes = 0
     for f in range(len(triangles)):
         far_row(f, points, across, totals)
         x, y, z = centres[f, 0], centres[f, 1], centres[f, 2]
         for g in range(f + 1):
-            # without a view of a row, which takes longer than all else here
+            # no view of a row here: it would take longer than the rest of the loop
             a, b, c = centres[g, 0] - x, centres[g, 1] - y, centres[g, 2] - z
             square, reach = a * a + b * b + c * c, radii[f] + radii[g]
             if square > (FAR * reach) ** 2:
                 continue
             ratio = np.sqrt(square) / reach
             total[:] = 0.0
-            if ratio > NEAR:  # here: a call that hands on all rules takes longer than the sum
+            if ratio > NEAR:  # summed in place: a call with all the rules takes longer than the sum
                 k = 3 if ratio > MIDDLE else 4
                 add_rule(
                     table, starts[k], starts[k + 1], corners, normals, f, g, as_they_are, as_they_are, total
@@ -257,7 +256,7 @@ def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, dou
 
 @compiled
 def add_row(row, triangles, curls, tractions, pushed, turned):
-    """The row V_fg (m, 6: xx, yy, zz, xy, xz, yz) times P, as `pushed` (3P, 3), and M, as `turned` (3N, 3)."""
+    """Add V_fg (m, 6: xx, yy, zz, xy, xz, yz) times P to `pushed` (3P, 3), and times M to `turned` (3N, 3)."""
     numbers, axes, tilts = tractions
     pushed[:] = 0.0
     turned[:] = 0.0
@@ -292,7 +291,7 @@ def add_row(row, triangles, curls, tractions, pushed, turned):
 
 @compiled
 def spread_row(pushed, turned, f, triangle, curls, tractions, sums):
-    """Add the row of facet f, for tractions (3, 3P) and forms (3, 3N), to the rows of its traction and corners."""
+    """Add the row of facet f, by tractions (3, 3P) and forms (3, 3N), to those of its traction and corners."""
     of_tractions, pulled, of_forms, smooth = sums
     numbers, axes, tilts = tractions
     for i in range(3):
@@ -307,7 +306,7 @@ def spread_row(pushed, turned, f, triangle, curls, tractions, sums):
 
 @compiled
 def add_tilted(vectors, i, axis, tilt, total):
-    """Add vector i of three (3, n), and `axis` times their product with a tilt (3,), to `total` (n,)."""
+    """Add to `total` (n,) vector i of three (3, n), and `axis` times their sum weighted by a tilt (3,)."""
     own, u, v, w = vectors[i], vectors[0], vectors[1], vectors[2]
     a, b, c = axis * tilt[0], axis * tilt[1], axis * tilt[2]
     for m in range(len(own)):
@@ -349,7 +348,7 @@ def add_own_transposed(matrix):
 
 @compiled
 def mirror(matrix):
-    """Write what a matrix (n, n) has below its diagonal to above it."""
+    """Copy the part of a matrix (n, n) below its diagonal to the part above."""
     n, size = len(matrix), 64
     for top in range(0, n, size):
         for left in range(0, top + 1, size):
@@ -360,7 +359,7 @@ def mirror(matrix):
 
 @compiled
 def add_layers(double, smooth, tractions, matrix):
-    """Add P^T (K I - e_ijk s_k / (4 pi)) to a matrix (3P, 3N), of K (F, N) and three s_k (F, N)."""
+    """Add P^T (K I - e_ijk s_k / (4 pi)) to a matrix (3P, 3N), from K (F, N) and three s_k (F, N)."""
     numbers, axes, tilts = tractions
     share = 0.25 / np.pi
     x, y, z = smooth

@@ -1,23 +1,23 @@
-"""Galerkin boundary operators of a homogeneous elastic body, and the surface stiffness S that they make.
+"""Galerkin boundary operators of a homogeneous elastic body, and the surface stiffness S made of them.
 
 On the surface of a body with shear modulus mu = 1 and Poisson's ratio nu, tractions t and displacements u obey
 
 `V t = (1/2 + K) u` and `t = D u + (1/2 + K^T) t`, so that `S = D + (M/2 + K)^T V^-1 (M/2 + K)` gives t's work
 
-(Steinbach, Numerical Approximation Methods for Elliptic Boundary Value Problems, 2008, sections 6.6 and 12.4), with
-Kelvin's solution `U = ((3 - 4 nu) I / r + r r / r^3) / (16 pi (1 - nu))` as kernel of V. Displacements are linear
-on each facet, tractions constant there or on two (`vdm.boundary.tractions`); all is tested with the same
-functions: S is symmetric as it stands.
+(Steinbach, Numerical Approximation Methods for Elliptic Boundary Value Problems, 2008, sections 6.6 and 12.4).
+The kernel of V is Kelvin's solution `U = ((3 - 4 nu) I / r + r r / r^3) / (16 pi (1 - nu))`. Displacements are
+linear on each facet. Tractions are constant on one facet or on a pair (`vdm.boundary.tractions`). The test
+functions are the same, so that S is symmetric.
 
-With the surface's curl c_k (of components `n x grad`) all else follows from V and Laplace's layers, without another
+With the surface's curl c_k (components of `n x grad`) K and D follow from V and Laplace's layers, without another
 singular integral (Kupradze 1979; Han, Numer. Math. 68, 1994). With `M_ij = n_j d_i - n_i d_j` and Laplace's
 `V_0 = int int 1/r`:
 
 `K = K_0 I + V_0 M / (4 pi) - 2 V M`
 `D_ij = delta_ij tr(G) / pi - G_ji / (2 pi) - G_ij / (4 pi) - 4 (M^T V M)_ij`, `G_kl = c_k^T V_0 c_l`
 
-These hold at nu = 1/2 too, where V has the field of normals in its null space: a uniform pressure moves nothing.
-With P tractions and N nodes the factor of V and the products after it, half of the time, take
+These hold at nu = 1/2 too, where the field of normals is in the null space of V: a uniform pressure moves
+nothing. With P tractions and N nodes, the factor of V and the products after it take half of the time:
 `9 P^3 + 27 P^2 N + 27 P N^2` operations.
 """
 
@@ -54,15 +54,14 @@ from vdm.boundary.refinement import (
 from vdm.boundary.rims import Rims
 from vdm.surface import SurfaceMesh
 
-# Nodes up to which nothing is spared: all is in double precision, and each facet has its own traction. Of more,
-# single precision halves time and memory; what it leaves in smooth displacements is taken out
-# (`vdm.boundary.refinement`).
+# Largest number of nodes for double precision and one traction a facet. Larger surfaces use single precision, which
+# halves time and memory; `vdm.boundary.refinement` corrects the smooth displacements.
 DOUBLE_NODES = 500
 
 
 @dataclass(frozen=True)
 class Facets:
-    """F flat facets on N points: what all integrals need of a surface.
+    """F flat facets on N points, as the integrals need them.
 
     Attributes
     ----------
@@ -70,7 +69,7 @@ class Facets:
     triangles : (F, 3), outward
     areas : (F,) [m^2]
     normals : (F, 3) outward unit normals
-    numbers : (F,) of the traction that a facet shares; P of them
+    numbers : (F,) number of each facet's traction, which it may share; P different ones
     axes : (F, 3) mean unit normal of the facets that share it
     """
 
@@ -99,20 +98,20 @@ class Facets:
         return int(self.numbers.max()) + 1
 
     def tractions(self, dtype: type[np.floating[Any]]) -> tuple[Index, Array, Array]:
-        """What makes a facet's traction of a shared c: `c + (n - m) (m . c)`, with n its own normal and m the axis.
+        """Numbers, axes m and tilts n - m, which give each facet's traction from a shared c: `c + (n - m) (m . c)`.
 
-        Numbers, axes and tilts n - m. So c = m is a uniform pressure, which none of the facets may resist.
+        n is the facet's own normal. c = m is then a uniform pressure, which no facet may resist.
         """
         return self.numbers, self.axes.astype(dtype), (self.normals - self.axes).astype(dtype)
 
     def mesh(self) -> tuple[Array, Index, Array, Array, Array, Array, Array]:
-        """What `vdm.boundary.kernels` reads: corners, triangles, normals, areas, centres, radii, how slender."""
+        """Corners, triangles, normals, areas, centres, radii, slenderness, as `vdm.boundary.kernels` reads them."""
         corners = self.points[self.triangles]
         centres = corners.mean(axis=1)
         radii = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1)
         longest = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1)
         triangles = self.triangles.view()
-        triangles.setflags(write=False)  # always: else it is compiled for either, 10 s each
+        triangles.setflags(write=False)  # always read-only: numba compiles for each kind, 10 s each
         return corners, triangles, self.normals, self.areas, centres, radii, longest / (2.0 * self.areas)
 
     def curls(self) -> Array:
@@ -142,9 +141,9 @@ class Operators:
 def layers(
     facets: Facets, nu: float, dtype: type[np.floating[Any]] = np.float64
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Quadrature over all pairs: V of Kelvin's solution for mu = 1 between tractions P and forms M.
+    """V of Kelvin's solution for mu = 1 by quadrature over all pairs, with tractions P and forms M.
 
-    `P^T V P` (3P, 3P), `P^T V M` (3P, 3N), `M^T V M` (3N, 3N), Laplace's V_0 (F, F) and K_0 (F, N).
+    Returns `P^T V P` (3P, 3P), `P^T V M` (3P, 3N), `M^T V M` (3N, 3N), Laplace's V_0 (F, F) and K_0 (F, N).
     """
     n_facets, n_nodes = len(facets.triangles), len(facets.points)
     p, m = 3 * facets.n_tractions, 3 * n_nodes
@@ -177,7 +176,7 @@ def assembled(facets: Facets, nu: float, dtype: type[np.floating[Any]] = np.floa
     double += _gathered(facets, np.repeat(facets.areas[:, None] / 6.0, 3, axis=1).astype(dtype)).toarray()
     curls = facets.curls().astype(dtype)
     curl = [_gathered(facets, curls[:, :, k]) for k in range(3)]
-    # products with a symmetric matrix, whose transposes have the rows together
+    # products with the symmetric V_0, transposed so that rows are contiguous
     smooth = tuple(np.ascontiguousarray((part.T @ laplace).T) for part in curl)
     del laplace
     jump *= -2.0
@@ -199,13 +198,13 @@ def assembled(facets: Facets, nu: float, dtype: type[np.floating[Any]] = np.floa
 
 
 def precision(n_nodes: int) -> type[np.floating[Any]]:
-    """In which the operators of a surface are assembled."""
+    """Number type in which the operators of a surface are assembled."""
     return np.float64 if n_nodes <= DOUBLE_NODES else np.float32
 
 
 @cache
 def compile_for(n_nodes: int) -> None:
-    """Compile the loops that so many nodes need, or read them from the disk: seconds at first, then nothing."""
+    """Compile the loops for so many nodes, or load them from the disk: seconds at first, then no time."""
     least = SurfaceMesh(np.vstack([np.zeros(3), np.eye(3)]), [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     surface_stiffness(Facets.of(least.points, least.triangles), 0.5, precision(n_nodes))
     coarsened(least, 3)
@@ -214,14 +213,15 @@ def compile_for(n_nodes: int) -> None:
 def surface_stiffness(
     facets: Facets, nu: float, dtype: type[np.floating[Any]] | None = None, rims: Rims | None = None
 ) -> Array:
-    """(3N, 3N) symmetric S [m] for mu = 1: nodal forces, the work of the tractions, of displacements.
+    """(3N, 3N) symmetric S [m] for mu = 1: from displacements to nodal forces, the work of the tractions.
 
-    The operators are of the `precision` of as many nodes where no dtype is given. With `rims`, whose cut surface
-    the facets are of, S has the nodes of the body that it was, and no forces of rigid motions, which quadrature
-    leaves, 1e-5 of S: a body that its supports carry far would be pushed, and its reactions not balance its load.
+    Without `dtype` the operators have the `precision` of as many nodes. `facets` may be those of the cut surface
+    of `rims`; S then has the nodes of the body before the cut. Quadrature leaves forces of rigid motions of 1e-5
+    of S, which would push a body that its supports carry far: with `rims` they are removed, and reactions balance
+    the load.
 
-    At nu = 1/2 a change of volume has no finite stiffness: it is left to a constraint. Here it only must not be
-    free, and gets a stiffness of the size of the others.
+    At nu = 1/2 a change of volume has no finite stiffness: a constraint keeps the volume. S gives it a stiffness
+    of the size of the others, so that it is not free.
     """
     dtype = dtype or precision(len(facets.points))
     operators = assembled(facets, nu, dtype)
@@ -230,7 +230,7 @@ def surface_stiffness(
         _stiffen(single, facets)
     refined = dtype is np.float32
     diagonal = np.diagonal(single).copy()
-    # all in place and of one triangle only; rows are columns to LAPACK
+    # all in place and on one triangle only; the rows of an array are columns to LAPACK
     potrf, potrs = lapack.get_lapack_funcs(("potrf", "potrs"), (single,))  # type: ignore[misc]  # the stubs know one
     trsm, syrk = blas.get_blas_funcs(("trsm", "syrk"), (single,))
     factor, failed = potrf(single.T, lower=0, clean=0, overwrite_a=1)
@@ -252,10 +252,10 @@ def surface_stiffness(
 
 
 def _stiffen(single: Array, facets: Facets) -> None:
-    """Let V grow by a a^T for each closed surface, with a about the pressure on it, which V does not see.
+    """Add a a^T to V for each closed surface, so that S sees a change of volume.
 
-    S then sees a change of volume. What is pressed on one surface inside another moves nothing around it: of those
-    S sees nothing.
+    a approximates the pressure on that surface, which V does not see. A pressure on one surface moves nothing
+    around another surface: S stays blind to that.
     """
     ger = blas.get_blas_funcs("ger", (single,))
     pieces = closed_pieces(facets.triangles)

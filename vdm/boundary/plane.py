@@ -1,4 +1,4 @@
-"""Integrals over one flat facet in closed form, seen from a point: exact for every shape of the facet, slivers too.
+"""Integrals over one flat facet in closed form, seen from a point: exact for every facet, slivers included.
 
 With r = y - x, d the height of the facet over x, and for each edge its direction s, the outward normal m in the
 plane, its distance t and its ends at l-, l+ along s and R-, R+ from x (Wilton et al. 1984, IEEE Trans. Antennas
@@ -17,13 +17,13 @@ import numpy as np
 from solver_common.arrays import Array
 from solver_common.jit import compiled
 
-# Gauss points from the centre outward and along the edges, of each of the three parts of a facet
+# Gauss points outward from the centre and along the edges, in each of the three parts of a facet
 POINTS = 5
-ON_LINE = 1e-24  # square of a distance from an edge's line over its length: on it
+ON_LINE = 1e-24  # squared distance from an edge's line over squared length, below which a point is on it
 
 
 def graded() -> tuple[Array, Array]:
-    """(75, 3) points and weights of sum 1 that crowd at the edges, where the potential of a facet has its poles."""
+    """(75, 3) points and weights of sum 1 that crowd at the edges, where the potential of a facet is singular."""
     at, weights = np.polynomial.legendre.leggauss(POINTS)
     at, weights = 0.5 * (at + 1.0), 0.5 * weights
     out = 1.0 - (1.0 - at) ** 3
@@ -38,9 +38,10 @@ def graded() -> tuple[Array, Array]:
 
 @compiled
 def add_plane(x, y, z, q, n, weight, at, total):
-    """Add to `total` (12,) the integrals over the triangle q (3, 3) of normal n, seen from the point (x, y, z).
+    """Add the integrals over the triangle q (3, 3) of normal n, seen from the point (x, y, z), to `total` (12,).
 
-    Those of B, times `weight`, to the first six; Laplace's double layer by corners from `at` on, times it twice.
+    B times `weight` goes to the first six. Laplace's double layer by corners, times twice `weight`, goes to `at`
+    and after.
     """
     d = (q[0, 0] - x) * n[0] + (q[0, 1] - y) * n[1] + (q[0, 2] - z) * n[2]
     height = abs(d)
@@ -82,7 +83,7 @@ def add_plane(x, y, z, q, n, weight, at, total):
     angle = 2.0 * np.arctan2(height * twice, inner)
     inverse -= height * angle
     omega = np.copysign(angle, d)
-    # what n n has in B: its own part, and the identity's
+    # factor of n n in B: its own term less the identity's
     own = d * omega - inverse
     total[0] += weight * (inverse - xx - 2.0 * d * fx * n[0] + own * n[0] * n[0])
     total[1] += weight * (inverse - yy - 2.0 * d * fy * n[1] + own * n[1] * n[1])
@@ -101,9 +102,9 @@ def add_plane(x, y, z, q, n, weight, at, total):
 
 @compiled
 def add_near(p, q, m, n, areas, points, weights, total):
-    """Add to `total` (12,) the integrals over facets p and q of normals m and n, over the product of their areas.
+    """Add the integrals over facets p and q of normals m and n, per product of their areas, to `total` (12,).
 
-    One facet in closed form, the other by points, and the other way round: B is the mean of both.
+    The facets take turns: one is integrated in closed form, the other by points. B is the mean of the two.
     """
     for k in range(len(weights)):
         a, b, c, half = points[k, 0], points[k, 1], points[k, 2], 0.5 * weights[k]

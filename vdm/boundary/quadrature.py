@@ -54,9 +54,9 @@ def touching() -> tuple[Rule, Rule, Rule]:
     """Rules (points of the first triangle (n, 3), of the second, weights (n,)) for one vertex, one edge or all
     three vertices in common; shared vertices come first, in the same order, in both triangles.
 
-    They are for kernels of the degrees -1, alone, and -2, with a function that is linear on either triangle. At the
-    share x of the way from the first vertex, with x^3 of the Jacobian, these are x times a linear function of x, of
-    which the integral is half of that function at 2/3.
+    They integrate kernels of degree -1, and of degree -2 times a function that is linear on either triangle. At
+    the share x of the way from the first vertex, with x^3 of the Jacobian, the integrand is x times a linear
+    function of x. Its integral is half of that function at 2/3.
     """
     nodes, weights = np.polynomial.legendre.leggauss(SINGULAR_ORDER)
     nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights

@@ -1,8 +1,9 @@
-"""What single precision leaves of the surface stiffness, taken out where it counts: in the smooth displacements.
+"""Corrects the surface stiffness for single precision, in the smooth displacements.
 
-A factor in 32 bits leaves 1e-6 of the largest stiffness. Smooth displacements, of which answers are made, have the
-smallest: without this an answer loses 1e-5, and 1e-3 on a slender body or one of slivers. Their forces S U are
-computed by iterative refinement with sums in 64 bits, and S takes them over (the symmetric update of Powell):
+A factor in 32 bits has an error of 1e-6 of the largest stiffness. Smooth displacements, which make up the
+answers, have the smallest stiffness. Uncorrected, an answer is wrong by 1e-5, and by 1e-3 on a slender body or
+one with slivers. Iterative refinement with sums in 64 bits computes their forces S U. S then takes these over
+(the symmetric update of Powell):
 
 `S <- S + E U^T + U E^T - U (U^T E) U^T, E = (S U in 64 bits) - S U`, U orthonormal.
 """
@@ -17,14 +18,14 @@ from scipy.linalg import blas
 
 from solver_common.arrays import Array
 
-# of the polynomials in x, y, z that stand for smooth displacements: 60 columns
+# degree of the polynomials in x, y, z that represent smooth displacements: 60 columns
 DEGREE = 3
-# rows and columns that are taken to 64 bits at once: 2 MB
+# rows and columns of a block that is converted to 64 bits at once
 TILE = 256
 
 
 def smooth_displacements(points: Array) -> Array:
-    """(3N, k) orthonormal polynomials up to `DEGREE` in each component, rigid motions too, on points (N, 3)."""
+    """(3N, k) orthonormal polynomials up to `DEGREE` in each component, on points (N, 3); with rigid motions."""
     centred = points - points.mean(axis=0)
     centred /= np.abs(centred).max()
     powers = [power for power in product(range(DEGREE + 1), repeat=3) if sum(power) <= DEGREE]
@@ -50,7 +51,7 @@ def wide_transposed_product(matrix: Array, right: Array) -> Array:
 
 
 def symmetric_product(above: Array, diagonal: Array, right: Array) -> Array:
-    """Symmetric A (n, n) in 32 bits times (n, k) in 64 bits, by what is above its diagonal, and that."""
+    """Symmetric A (n, n) in 32 bits times (n, k), in 64 bits; A is `above` and on its `diagonal`."""
     total = diagonal.astype(np.float64)[:, None] * right
     for rows, columns, tile in _wide_tiles(above, symmetric=True):
         if columns.start == rows.start:
@@ -61,9 +62,9 @@ def symmetric_product(above: Array, diagonal: Array, right: Array) -> Array:
 
 
 def _wide_tiles(matrix: Array, symmetric: bool = False) -> Iterator[tuple[slice, slice, Array]]:
-    """Rows and columns of a matrix (n, m) by squares that stay in a cache, and each in 64 bits, in the same place.
+    """Yield rows, columns and values in 64 bits of each block of a matrix (n, m); blocks reuse one array.
 
-    Of a symmetric one those on and above the diagonal.
+    Of a symmetric matrix: only the blocks on and above the diagonal.
     """
     n, m = matrix.shape
     place = np.empty((TILE, TILE))
@@ -77,7 +78,7 @@ def _wide_tiles(matrix: Array, symmetric: bool = False) -> Iterator[tuple[slice,
 
 
 def solved(solve: Callable[[Array], tuple[Array, int]], above: Array, diagonal: Array, right: Array) -> Array:
-    """V^-1 times (n, k) in 64 bits, by LAPACK's solution with a factor of V, and V as in `symmetric_product`."""
+    """V^-1 times `right` (n, k) in 64 bits, by LAPACK's solve with a factor of V; V as in `symmetric_product`."""
     answer = np.zeros_like(right)
     left = right
     for sweep in range(2):
@@ -88,7 +89,7 @@ def solved(solve: Callable[[Array], tuple[Array, int]], above: Array, diagonal: 
 
 
 def take_over(stiffness: Array, basis: Array, forces: Array) -> None:
-    """Let a symmetric S (n, n) have these forces (n, k) under an orthonormal basis (n, k), in place."""
+    """Update a symmetric S (n, n) in place: an orthonormal `basis` (n, k) then has the given forces (n, k)."""
     lacking = forces - stiffness @ basis
     lacking -= 0.5 * basis @ (basis.T @ lacking)
     left, right = np.hstack([lacking, basis]), np.hstack([basis, lacking])

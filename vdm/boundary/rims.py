@@ -1,19 +1,18 @@
-"""Facets cut along the rim of what is held, by nodes of their own that are eliminated.
+"""Facets cut along the rim of held nodes; the new nodes are eliminated.
 
-There displacements grow as the root of the distance r to what is held, tractions as its inverse or nearly so, and
-there most of a uniform mesh's error is made. Every edge from a held node to a free one gets a node at a quarter of
-its length: between the places r = 0, 1/4 and 1 a root is linear in the root of r (quarter points: Henshell and Shaw
-1975; Barsoum 1976). Across the rim the mesh is as fine as a root needs; along it it stays as it is.
+At a rim displacements grow as the root of the distance r to the held nodes, and tractions as its inverse or
+nearly so. Most of a uniform mesh's error is made there. Every edge from a held node to a free one gets a node at
+a quarter of its length: the places r = 0, 1/4 and 1 are evenly spaced in the root of r (quarter points: Henshell
+and Shaw 1975; Barsoum 1976). The mesh is then fine enough for a root across the rim, and unchanged along it.
 
-Of a new node's motion the part w beyond that of its edge is unknown (a hierarchical basis: Yserentant 1986),
+The unknown of a new node is its motion w beyond that of its edge (a hierarchical basis: Yserentant 1986),
 
-`u_new = 3/4 u_held + 1/4 u_free + w`,
+`u_new = 3/4 u_held + 1/4 u_free + w`.
 
-and follows from the nodes that there were, without a force of its own: `w = -A S_wb u`. What is left,
-`S_bb - S_bw A S_wb`, has their size (Guyan 1965). The volume stays that between these nodes, to which the new ones
-add nothing in sum: with a their area vectors, `a . w = 0`, so that
-`A = S_ww^-1 - S_ww^-1 a a^T S_ww^-1 / (a . S_ww^-1 a)`. A rim that bulges all around, as under weight, stays as
-stiff as its mesh without cuts.
+It carries no force, so that the old nodes determine it: `w = -A S_wb u`. The condensed stiffness
+`S_bb - S_bw A S_wb` has the size of the old nodes (Guyan 1965). The new nodes add no volume in sum: with their
+area vectors a, `a . w = 0`, so that `A = S_ww^-1 - S_ww^-1 a a^T S_ww^-1 / (a . S_ww^-1 a)`. A rim that bulges
+all around, as under weight, is therefore as stiff as on the uncut mesh.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ from solver_common.arrays import Array, Index, Mask
 from vdm.boundary.refinement import take_over
 from vdm.surface import SurfaceMesh, rigid_basis
 
-# of the way from the held end of an edge to its free one
+# place of a new node, as a share of its edge from the held end
 PLACE = 0.25
-# of the mesh about a node, by whose counts it is told from another: a change of shape does not move them
+# steps of the walks that tell nodes apart by the mesh around them, which a change of shape does not alter
 RINGS = 8
-# one length over another that is the same to rounding
+# a ratio of two lengths above this is equality to rounding
 SHORTER = 1.0 - 1e-9
-# of a large matrix, at once
+# rows of a large matrix that are handled at once
 ROWS = 256
 
 
@@ -45,9 +44,9 @@ class Rims:
 
     Attributes
     ----------
-    body : as it was
-    surface : of N + k nodes, the new ones last
-    shares : (N + k, N) of the nodes that there were, in the place of each
+    body : the surface before the cut
+    surface : the cut surface, of N + k nodes, the new ones last
+    shares : (N + k, N) weights of the old nodes in the place of each node
     follows : (3k, 3N) A S_wb, zero until a stiffness is condensed
     """
 
@@ -67,9 +66,9 @@ class Rims:
         return cls(surface, SurfaceMesh(points, triangles), shares, follows)
 
     def condensed(self, matrix: Array) -> Array:
-        """(3N, 3N) stiffness in 64 bits of one (3(N + k), 3(N + k)), which is used up; new nodes then follow.
+        """(3N, 3N) stiffness in 64 bits, condensed from a matrix (3(N + k), 3(N + k)); sets `follows`.
 
-        Without forces of rigid motions, to the rounding of the matrix that there was.
+        The matrix is overwritten. The result has no forces of rigid motions, to the rounding of the matrix.
         """
         n = self.body.n_nodes
         rigid = rigid_basis(self.surface).astype(matrix.dtype)
@@ -77,7 +76,7 @@ class Rims:
         carried, coupling = np.vsplit(matrix[:, : 3 * n], [3 * n])
         own = matrix[3 * n :, 3 * n :]
         if len(own):
-            # a new node's place in its edge, for the few nodes that have a cut edge
+            # transpose of a new node's place in its edge, for the few nodes with a cut edge
             ends = np.unique(self.shares.indices[self.shares.indptr[n] :])
             shares = sparse.csr_array(sparse.kron(self.shares[n:][:, ends].T, np.eye(3))).astype(matrix.dtype)
             dofs = (3 * ends[:, None] + np.arange(3)).reshape(-1)
@@ -105,19 +104,19 @@ class Rims:
         return whole
 
     def spread(self, displacements: Array) -> Array:
-        """(3(N + k), m) displacements, linear along the cut edges, of (3N, m)."""
+        """(3(N + k), m) displacements of (3N, m), linear along the cut edges."""
         m = displacements.shape[1]
         return np.asarray(self.shares @ displacements.reshape(-1, 3 * m)).reshape(-1, m)
 
     def smooth(self, basis: Array, forces: Array) -> Array:
-        """(3N, m) forces under an orthonormal basis (3N, m), of (3(N + k), m) ones; none of rigid motions."""
+        """(3N, m) forces of (3(N + k), m), under an orthonormal basis (3N, m), without forces of rigid motions."""
         m = basis.shape[1]
         rigid = rigid_basis(self.body)
         carried = self.carried(forces.reshape(-1, 3, m)).reshape(-1, m)
         return _without(_without(carried, rigid).T, basis.T @ rigid).T
 
     def carried(self, force: Array) -> Array:
-        """(N, 3, ...) forces at the nodes that there were, with the answer of (N + k, 3, ...) at all of them."""
+        """(N, 3, ...) forces at the old nodes that are equivalent to (N + k, 3, ...) at all of them."""
         shape = (self.body.n_nodes, *force.shape[1:])
         own = force[shape[0] :].reshape(len(self.follows), *force.shape[2:])
         moved = np.asarray(self.shares.T @ force.reshape(len(force), -1))
@@ -126,12 +125,12 @@ class Rims:
 
 
 def _without(vectors: Array, basis: Array) -> Array:
-    """Vectors (n, m) less what they have of an orthonormal basis (n, k)."""
+    """Vectors (n, m) less their projection on an orthonormal basis (n, k)."""
     return vectors - basis @ (basis.T @ vectors)
 
 
 def on_edges(ends: Index, n: int) -> sparse.csr_array:
-    """(n + k, n) that keeps n nodes, and puts k further ones on the edges (k, 2) that they cut."""
+    """(n + k, n) places of n old nodes and of k new ones on the edges (k, 2), as weights of the old nodes."""
     k = len(ends)
     data = np.concatenate([np.ones(n), np.tile([1.0 - PLACE, PLACE], k)])
     rows = np.concatenate([np.arange(n), np.arange(n, n + 2 * k + 1, 2)])
@@ -139,11 +138,10 @@ def on_edges(ends: Index, n: int) -> sparse.csr_array:
 
 
 def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Array, list[Index], Index]:
-    """Points (N + k, 3) and facets of all bodies, cut at edges between held and free nodes (N,); the edges' ends.
+    """Points (N + k, 3), facets of all bodies and ends (k, 2) of the cut edges.
 
-    Of the ends (k, 2) the held one is first.
-
-    Edge i gets the node N + i, in all bodies that have it, and a facet that two of them have is cut alike in both.
+    Every edge between a held node (N,) and a free one is cut. Its held end comes first. Edge i has the
+    node `N + i` in every body. A facet of two bodies is cut alike in both.
     """
     n = len(points)
     facets = np.concatenate(bodies)
@@ -162,7 +160,7 @@ def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Arr
     new = np.where(numbers < 0, -1, n + numbers)
     met = _met(sides.reshape(-1, 2), n)
     _, of, uses = np.unique(np.sort(facets, axis=1), axis=0, return_inverse=True, return_counts=True)
-    # seen from either side a facet is cut as the one with its nodes in ascending order, but for a cyclic shift
+    # both sides of a facet are cut as the facet with ascending nodes, up to a cyclic shift
     a, b, c = facets.T
     turned = (uses[of.reshape(-1)] > 1) & ((a - b) * (b - c) * (c - a) < 0)
     pieces, start = list[Index](), 0
@@ -176,17 +174,17 @@ def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Arr
 
 
 def _cut(triangles: Index, new: Index, points: Array, met: Index) -> Index:
-    """The facets, those with new nodes on two sides (F, 3; -1 for none) in three: a corner and the rest.
+    """Cut each facet with new nodes on two sides (F, 3; -1 for none) in three: a corner, and the rest in two.
 
-    The rest's diagonal does not depend on where the body's nodes are but where `_met` (n,) is in a tie: a body that
-    sags keeps it, and is led back to rest with it.
+    The diagonal of the rest depends on the mesh, and in a tie of `_met` (n,) on lengths: a body that sags keeps
+    its diagonals, and is led back to rest with them.
     """
     is_cut = (new >= 0).any(axis=1)
     # the corner between the two sides comes first; side 0 is after corner 0
     turned = (np.argmin(new[is_cut], axis=1)[:, None] + 2 + np.arange(3)) % 3
     a, b, c = np.take_along_axis(triangles[is_cut], turned, axis=1).T
     ab, _, ca = np.take_along_axis(new[is_cut], turned, axis=1).T
-    # from the node that is met more often; in a tie the shorter, and rounding does not decide between equal ones
+    # the diagonal at the node with more walks; in a tie the shorter diagonal, robust to rounding
     ab_c, b_ca = np.linalg.norm(points[[ab, b]] - points[[c, ca]], axis=2)
     is_first = np.where(met[b] == met[c], ab_c < SHORTER * b_ca, met[b] < met[c])
     third, second = np.where(is_first, [ab, c], [b, ca])
@@ -195,9 +193,9 @@ def _cut(triangles: Index, new: Index, points: Array, met: Index) -> Index:
 
 
 def _met(edges: Index, n: int) -> Index:
-    """(n,) the number of walks from each node of `RINGS` steps, each along an edge (k, 2; either way) or none."""
+    """(n,) number of walks of `RINGS` steps from each node; a step stays or follows an edge (k, 2)."""
     beside = sparse.csr_array((np.ones(len(edges), np.int64), edges.T), shape=(n, n))
-    beside.data[:] = 1  # an edge of two bodies is one
+    beside.data[:] = 1  # an edge of two bodies counts once
     met = np.ones(n, np.int64)
     for _ in range(RINGS):
         met = met + beside @ met

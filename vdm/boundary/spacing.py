@@ -1,4 +1,4 @@
-"""Even spacing of a coarse surface's nodes by the mesh size around: they slide over the fine one, edges flip."""
+"""Even spacing of a coarse surface's nodes in local mesh sizes: they slide on the fine one, and edges flip."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ ROUNDS = 20
 FLIP_ROUNDS = 5
 # samples of the fine surface along a mean edge of the coarse one
 SAMPLES_PER_EDGE = 6
-# a direction in which the normals around a node have less than this share of their squares is free to slide
+# nodes slide along directions in which the normals around them have less than this share of their squares
 TANGENT = 0.12
-# a facet may not turn by more than this in a round, nor be less than this share of an equilateral one
+# in a round, no facet turns by more than this or falls below this share of an equilateral one
 LEAST_COSINE = 0.5
 LEAST_QUALITY = 0.2
-# edges flip between facets that are as parallel as this, and where the angles that face them exceed pi by more than
+# edges flip between facets that are as parallel as this, where the two opposite angles exceed pi by more than that
 FLAT_COSINE = 0.95
 LEAST_GAIN = 1e-6
 MOST_NEIGHBOURS = 9
@@ -26,11 +26,11 @@ MOST_NEIGHBOURS = 9
 def evenly_spaced(
     fine: Array, triangles: Index, sizes: Array, nodes: Array, facets: Index
 ) -> tuple[Index, Index, Array]:
-    """Facets (m, 3) once the nodes have slid towards the middle of theirs, and where: fine nodes, shares (n, 3).
+    """Facets (m, 3), and the places of nodes that slid to the middle of theirs: fine nodes, shares (n, 3).
 
-    The middle is that of the fine nodes: where these are dense, so stay the coarse ones.
-    Smooth parts slide both ways, edges along themselves, corners not at all. Every place is one of a fixed grid on
-    the fine triangles, so that rounding does not add up.
+    Fine nodes count equally in the middle: where they are dense, so are the coarse ones. On smooth parts nodes
+    slide both ways, on sharp edges along the edge, at corners not at all. Every place is one of a fixed grid on
+    the fine triangles, so that rounding does not accumulate.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def evenly_spaced(
         goal = nodes + _slide(nodes, facets, place_sizes[at])
         new = np.asarray(tree.query(goal)[1])
         own = _unit(_gathered(_area_vectors(nodes, facets), facets, len(nodes)))
-        # not through a thin part to its other side
+        # do not jump through a thin part to its other side
         may = np.einsum("nc,nc->n", normals[new], own) > LEAST_COSINE
         may = _without_folds(nodes, places[new], facets, may)
         may = _without_sharing(owner[at], owner[new], may)
@@ -66,10 +66,10 @@ def evenly_spaced(
 
 
 def _places(triangles: Index, splits: int) -> tuple[Index, Array]:
-    """Places on the triangles by `splits` parts of each side, each once: fine nodes (s, 3), their shares (s, 3)."""
+    """Places on the triangles with each side in `splits` parts: fine nodes (s, 3), their shares (s, 3)."""
     steps = np.array([(i, j, splits - i - j) for i in range(splits + 1) for j in range(splits + 1 - i)])
     step = np.broadcast_to(steps, (len(triangles), *steps.shape)).reshape(-1, 3)
-    # a corner without a share stands for none: a place on an edge is then the same from both sides
+    # mark corners without a share: a place on an edge then has one key from both sides
     key = np.repeat(triangles, len(steps), axis=0) * (splits + 1) + step
     key = np.sort(np.where(step > 0, key, -1), axis=1)
     key = key[np.lexsort(key.T[::-1])]
@@ -80,7 +80,7 @@ def _places(triangles: Index, splits: int) -> tuple[Index, Array]:
 
 
 def _slide(nodes: Array, facets: Index, sizes: Array) -> Array:
-    """(n, 3) from each node to the middle of its facets by their fine nodes, as far as its normals let it."""
+    """(n, 3) steps along each node's free directions, to the middle of its facets by their fine nodes."""
     area_vectors = _area_vectors(nodes, facets)
     areas = np.linalg.norm(area_vectors, axis=1)
     n = len(nodes)
@@ -95,7 +95,7 @@ def _slide(nodes: Array, facets: Index, sizes: Array) -> Array:
 
 
 def _without_folds(nodes: Array, new: Array, facets: Index, may: Mask) -> Mask:
-    """Of the nodes that may move those that leave no facet turned or squeezed."""
+    """The nodes (n,) whose move leaves no facet turned or squeezed, out of those that may move."""
     may = may.copy()
     before = _area_vectors(nodes, facets)
     while True:
@@ -113,7 +113,7 @@ def _without_folds(nodes: Array, new: Array, facets: Index, may: Mask) -> Mask:
 
 
 def _without_sharing(here: Index, there: Index, may: Mask) -> Mask:
-    """Of the nodes that may move those that leave every fine node to one at most: two would not be told apart."""
+    """The nodes (n,) that may move without sharing a fine node with another: coarse nodes stay distinct."""
     may = may.copy()
     while True:
         _, first, counts = np.unique(np.where(may, there, here), return_inverse=True, return_counts=True)
@@ -124,7 +124,7 @@ def _without_sharing(here: Index, there: Index, may: Mask) -> Mask:
 
 
 def _flipped(nodes: Array, facets: Index) -> Index:
-    """The facets once edges have flipped whose two facets do not make the better pair (Delaunay's criterion)."""
+    """The facets after flipping edges whose two facets do not satisfy Delaunay's criterion."""
     facets, n = facets.copy(), len(nodes)
     for _ in range(FLIP_ROUNDS):
         start, end = facets.ravel(), np.roll(facets, -1, axis=1).ravel()
@@ -179,5 +179,5 @@ def _unit(vectors: Array) -> Array:
 
 
 def _cotangent(u: Array, v: Array) -> Array:
-    """(k,) of the angles between vectors (k, 3)."""
+    """(k,) cotangents of the angles between vectors (k, 3)."""
     return np.asarray(np.einsum("kc,kc->k", u, v) / np.linalg.norm(cross(u, v), axis=1))

@@ -1,8 +1,8 @@
-"""Facets in pairs that share a traction: half the unknowns of what takes most of a set-up.
+"""Facets in pairs that share a traction: half the unknowns in the most expensive part of a set-up.
 
-Away from the rim of what is held tractions are as smooth as the load, and two neighbours share one. At the rim
-they grow as the inverse root of the distance or nearly so, and each facet that has one of its held nodes keeps its
-own. A Galerkin method stays one with fewer tractions: S is symmetric, and displacements keep all their nodes.
+Away from the rim of the held nodes tractions are as smooth as the load, and two neighbours share one. At the rim
+they grow as the inverse root of the distance or nearly so, and each facet with a held node of the rim keeps its
+own. The method stays a Galerkin method: S is symmetric, and all nodes keep their displacements.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from vdm.surface import SurfaceMesh
 
 
 def shared(surface: SurfaceMesh, held: Mask, among: Mask | None = None) -> Index:
-    """(F,) number of each facet's traction: pairs `among` some (F,), else all, the best shaped first.
+    """(F,) number of each facet's traction; pairs form `among` some facets (F,), by default all, best shape first.
 
-    Facets at the rim of held nodes (N,) are in none.
+    Facets at the rim of held nodes (N,) stay single.
 
-    A pair is the better, the larger its area vector is beside the squares of its four sides: 1/4 for a plane
-    square, less for what is slender or folded. Facets at a right angle or more are no pair. Among equal ones the
-    shape of the body decides, no number of a node.
+    The quality of a pair is its area vector over the squares of its four sides: 1/4 for a plane square, less for
+    slender or folded pairs. Facets at a right angle or more do not pair. The shape of the body decides between
+    equal pairs, not node numbers.
     """
     triangles, points = surface.triangles, surface.points
-    # the facets of each edge, one after the other
+    # the two facets of each edge
     facets = np.argsort(surface.facet_edges.reshape(-1), kind="stable").reshape(-1, 2) // 3
     sides = np.square(points[triangles] - points[np.roll(triangles, -1, axis=1)]).sum(axis=(1, 2))
     across = np.square(points[surface.edges[:, 0]] - points[surface.edges[:, 1]]).sum(axis=1)

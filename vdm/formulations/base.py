@@ -1,4 +1,4 @@
-"""What every formulation provides: an operator, its border and the maps to displacements and forces."""
+"""The interface of every formulation: an operator, its border and the maps to displacements and forces."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from vdm.material import Parameters
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh, rigid_motions
 
-# what a contact's columns may leave out far away, of the largest answer to contact pressures of the same size
+# largest error of shortened contact columns, over the largest answer to contact pressures of the same size
 LEFT_OUT = 1e-7
 
 
@@ -31,14 +31,14 @@ class Factor(Protocol):
 
 @runtime_checkable
 class ReactingFactor(Factor, Protocol):
-    """A factor that knows the force at held nodes too, at less than the price of K x."""
+    """A factor that also gives the force at held nodes, more cheaply than the product K x."""
 
     def solve_with_inside(self, right_hand_side: Array) -> tuple[Array, Array]:
-        """The solution, same shape, and the motion inside (k,) or (k, m) that goes with it."""
+        """The solution, same shape, and the motion inside (k,) or (k, m) that belongs to it."""
         ...
 
     def held_force(self, inside: Array) -> Array:
-        """K x (n_held, d) at the held nodes, themselves at rest, of a motion inside (k,)."""
+        """K x (n_held, d) at the held nodes, which rest, for a motion inside (k,)."""
         ...
 
 
@@ -48,23 +48,23 @@ class SparseFactor(Factor, Protocol):
     size: int
 
 
-_STOPPED = 1e-10  # energy of a rigid motion over the largest one, below which springs leave it free
+_STOPPED = 1e-10  # energy of a rigid motion over the largest one: below this, springs leave it free
 Factorise = Callable[[sparse.csr_array], SparseFactor]
 
 
 class Formulation(ABC):
-    """N nodes with d unknowns x each and m border unknowns s, of which the first is dP [Pa].
+    """N nodes with d unknowns x each, and m border unknowns s; the first of s is dP [Pa].
 
     Balance of each node, a generalised force [N]: `K x - columns s = force`; border: `rows x + corner s = 0`.
-    Arrays of unknowns and forces have shape (N, d), columns and rows are (N, d, m). K is symmetric; rows beyond the
-    first, the volume's, equal their columns.
+    Unknowns and forces have shape (N, d), columns and rows (N, d, m). K is symmetric. All rows but the first, the
+    volume's, equal their columns.
     """
 
     name: ClassVar[str]
     components: ClassVar[int]
     has_matrix: bool = True  # whether `stiffness` gives one
-    left_out_far: float = LEFT_OUT  # see `vdm.solvers.columns`
-    # what to do where a motion that costs no energy is left free
+    left_out_far: float = LEFT_OUT  # error allowed in `vdm.solvers.columns`
+    # what to change where a motion that costs no energy is free
     remedy: ClassVar[str] = "hold an area of the surface, the nodes of some of its facets"
     columns: Columns
     rows: Columns
@@ -81,20 +81,20 @@ class Formulation(ABC):
         parameters: Parameters,
         held: Mask,  # noqa: ARG003
     ) -> Formulation:
-        """The form of a body that is held at some nodes (N,); most forms do not depend on these."""
+        """The form of a body held at some nodes (N,); most forms do not depend on them."""
         return cls(surface, parameters)
 
     @classmethod
     def free_motions(cls, surface: SurfaceMesh, parameters: Parameters, nodes: Mask) -> Array:  # noqa: ARG003
-        """(n, d, r) at `nodes` (N,): motions x, of the order of one, that cost no energy; supports must stop them.
+        """(n, d, r) motions x at `nodes` (N,), of the order of one, that cost no energy; supports must stop them.
 
-        Known before anything is assembled: here the six rigid motions of a body that is not tied to space.
+        They are known before assembly: here the six rigid motions, for a body that is not tied to space.
         """
         return rigid_motions(surface, nodes)
 
     @classmethod  # noqa: B027 - most have nothing to compile
     def compile(cls, surface: SurfaceMesh, parameters: Parameters) -> None:
-        """Compile what is compiled once on a machine, before a set-up is timed."""
+        """Compile the loops, once on a machine, before a set-up is timed."""
 
     @abstractmethod
     def apply(self, x: Array) -> Array:
@@ -104,11 +104,12 @@ class Formulation(ABC):
     def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
         """Factor of K over the free nodes; right-hand sides are (n_free * d,) or (n_free * d, m).
 
-        `factorise` makes it of a sparse matrix; a formulation with a dense one has its own and refuses others.
+        `factorise` makes it from a sparse matrix; a formulation with a dense matrix has its own factor and
+        refuses others.
         """
 
     def response(self, factor: Factor, columns: Columns) -> Columns:
-        """K^-1 columns at the nodes that the factor is of."""
+        """K^-1 columns, at the nodes of the factor."""
         values = columns.dense()
         return DenseColumns(factor.solve(values.reshape(-1, columns.count)).reshape(values.shape))
 
@@ -172,11 +173,11 @@ class Formulation(ABC):
         """Generalised force of a unit fluid pressure, and the gradient of `kept_volume` in x; (N, d) each."""
 
     def kept_volume(self, x: Array, state: DeformedSurface) -> float:  # noqa: ARG002 - of the positions alone
-        """The volume [m^3] that the fluid keeps, whose gradient at rest is `rows`: the polyhedron's."""
+        """The volume [m^3] that the fluid keeps: the polyhedron's. `rows` is its gradient at rest."""
         return state.volume
 
     def printed_volume_row(self, state: DeformedSurface) -> Array:
-        """Row of equation 33 (N, d) on a deformed surface; that of `kept_volume` unless the paper differs."""
+        """(N, d) row of equation 33 on a deformed surface; the gradient of `kept_volume`, or as printed."""
         return self.deformed_columns(state)[1]
 
     @abstractmethod
@@ -185,16 +186,16 @@ class Formulation(ABC):
 
     @property
     def resolved(self) -> SurfaceMesh:
-        """The surface that forces may be given on: N nodes, and after them those that the form adds."""
+        """The surface on which forces may be given: N nodes, then the k nodes that the form adds."""
         return self.surface
 
     def carried(self, force: Array) -> Array:
-        """(N, d) generalised force of forces (N + k, 3) on the nodes of `resolved`."""
+        """(N, d) generalised force of forces (N + k, 3) at the nodes of `resolved`."""
         pressure = -np.einsum("ic,ic->i", force, self.surface.normals) / self.surface.nodal_areas
         return self.contact_force(Load(pressure, force))
 
     def known_forces(self, forces: Callable[[SurfaceMesh], Array]) -> Array:
-        """(m, N, d) generalised forces of m known ones, given on any mesh (N + k nodes) as (m, N + k, 3)."""
+        """(m, N, d) generalised forces of m fields, which `forces` gives on a mesh as (m, N + k, 3)."""
         return np.stack([self.carried(force) for force in forces(self.resolved)])
 
     @property
@@ -208,7 +209,7 @@ class Formulation(ABC):
         return force
 
     def internal_force(self, x: Array, border: Array, applied: Array | None = None) -> Array:
-        """Generalised force (N, d) of the material alone: K x less the border terms that are not the fluid's.
+        """(N, d) generalised force of the material alone: K x less the border terms other than the fluid's.
 
         `applied` is K x, where it is known.
         """
@@ -269,7 +270,7 @@ class DisplacementFormulation(Formulation):
         return motions @ axes[:, energy <= _STOPPED * energy.max()]
 
     def ground_force(self, x: Array) -> Array:
-        """(N, 3) what springs to the ground, where there are some, need for a displacement; they do not turn."""
+        """(N, 3) force of the springs to the ground, if any, at a displacement; they do not turn."""
         ground = self.parameters.ground
         return np.zeros_like(x) if ground is None else np.asarray(ground @ x.reshape(-1)).reshape(-1, 3)
 

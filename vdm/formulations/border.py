@@ -1,4 +1,4 @@
-"""Columns of the border: what dP, and where it is free the body's rotation, do to every node."""
+"""Columns of the border: the effect of dP, and of the body's rotation where it is free, on every node."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ LEVI_CIVITA[(0, 2, 1), (2, 1, 0), (1, 0, 2)] = -1.0
 
 
 class Columns(ABC):
-    """m columns of n nodes with d components each; the first, `first` (n, d), belongs to dP."""
+    """m columns of n nodes with d components each; `first` (n, d) is that of dP."""
 
     first: Array
     count: int
 
     @abstractmethod
     def times(self, border: Array) -> Array:
-        """(n, d) sum of the columns by border unknowns (m,); of k sets (m, k) at once (n, d, k)."""
+        """(n, d) sum of the columns weighted by border unknowns (m,); (n, d, k) for k sets (m, k)."""
 
     @abstractmethod
     def dotted(self, vector: Array) -> Array:
-        """(m,) products of the columns with a vector (n d,); with k vectors (n d, k) (m, k)."""
+        """(m,) products of the columns with a vector (n d,); (m, k) with k vectors (n d, k)."""
 
     @abstractmethod
     def magnitude(self, vector: Array) -> Array:
-        """(m,) products of absolute values, of the columns with a vector (n d,): what rounding is measured by."""
+        """(m,) products of the columns with a vector (n d,), in absolute values: the scale of rounding errors."""
 
     @abstractmethod
     def at(self, nodes: Mask) -> Columns:
@@ -38,11 +38,11 @@ class Columns(ABC):
 
     @abstractmethod
     def dense(self) -> Array:
-        """(n, d, m), made anew."""
+        """(n, d, m), a new array."""
 
 
 class DenseColumns(Columns):
-    """Columns as they are, (n, d, m)."""
+    """Columns stored as an array (n, d, m)."""
 
     def __init__(self, values: Array) -> None:
         self.values = values
@@ -68,7 +68,7 @@ class DenseColumns(Columns):
 
 
 class TurningColumns(Columns):
-    """The column of dP and those of three unit rotations, e_k x pull: 6 numbers a node instead of 12."""
+    """The column of dP and those of three unit rotations, e_k x pull: 6 numbers per node instead of 12."""
 
     count = 4
 
@@ -78,7 +78,7 @@ class TurningColumns(Columns):
 
     def times(self, border: Array) -> Array:
         n = len(self.pull)
-        # p -> w x p is one small product for all nodes and all k sets
+        # p -> w x p as one small product for all nodes and all k sets
         turn = np.einsum("abc,bk->cak", LEVI_CIVITA, border[1:].reshape(3, -1))
         total: Array = (self.pull @ turn.reshape(3, -1)).reshape(n, 3, *border.shape[1:])
         total += self.first.reshape(n, 3, *(1,) * (border.ndim - 1)) * border[0]

@@ -1,4 +1,4 @@
-"""The model made consistent: a membrane on a foundation with exact area vectors, symmetric and convergent."""
+"""The consistent form: a membrane on a foundation with exact area vectors, symmetric and convergent."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from vdm.surface import SurfaceMesh
 class ConsistentFormulation(ScalarFormulation):
     """`k a_i L_i + T (Lc L)_i - a_i dP = a_i rho g delta_i + F_i . n_i`, `sum a_i L_i = 0`.
 
-    L_i is the displacement along n_i = g_i / |g_i| and a_i = |g_i| stands wherever an area does, so that
-    `sum a_i L_i` is the exact first-order change of volume. Lc is the cotangent Laplacian (negative weights set to
-    zero), for which T does not depend on the mesh. The contact's force is projected on the normal; it is
-    -a_i p_i where only a nodal pressure is given.
+    L_i is the displacement along n_i = g_i / |g_i|. a_i = |g_i| replaces every area, so that `sum a_i L_i` is the
+    exact first-order change of volume. Lc is the cotangent Laplacian (negative weights set to zero); with it T
+    does not depend on the mesh. The contact's force is projected on the normal; it is -a_i p_i where only a nodal
+    pressure is given.
 
     Raises
     ------
@@ -33,7 +33,7 @@ class ConsistentFormulation(ScalarFormulation):
 
     @classmethod
     def free_motions(cls, surface: SurfaceMesh, parameters: Parameters, nodes: Mask) -> Array:  # noqa: ARG003
-        """A uniform unknown, where foundation is zero everywhere."""
+        """A uniform unknown, where the foundation is zero everywhere."""
         tied = np.any(np.asarray(parameters.foundation, dtype=np.float64))
         return np.ones((np.count_nonzero(nodes), 1, 0 if tied else 1))
 

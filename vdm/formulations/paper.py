@@ -19,10 +19,9 @@ from vdm.surface import SurfaceMesh
 class PaperFormulation(ScalarFormulation):
     """Row i of equation 27, times A_i, in the nodal volume change x_i = dV_i = A_i L_i (21):
 
-    `(1/H) [B_i x_i + sum_j B_ij (x_i - x_j)] - A_i dP = A_i (rho g delta_i - P_cp,i)`, H = V / A, and the border
-    `sum x_i = 0` (19, 28). As printed the matrix of L is not symmetric; in x it is, and positive definite, so that
-    a Cholesky factor serves. `state_matrix` gives the printed
-    one: rows in Pa, columns L_1..L_N [m] and dP [Pa].
+    `(1/H) [B_i x_i + sum_j B_ij (x_i - x_j)] - A_i dP = A_i (rho g delta_i - P_cp,i)`, H = V / A, with the border
+    `sum x_i = 0` (19, 28). The printed matrix of L is not symmetric. In x it is symmetric positive definite, and a
+    Cholesky factor exists. `state_matrix` gives the printed matrix: rows in Pa, columns L_1..L_N [m] and dP [Pa].
 
     Raises
     ------
@@ -74,8 +73,8 @@ class PaperFormulation(ScalarFormulation):
     def nodal_stress(self, displacement: Array) -> Array:
         """(N,) sigma_i = (B_i / V_i) (dV_i - sum_j dV_j) [Pa] as printed in equation 9.
 
-        A uniform displacement gives 1 - valence times the pressure, not zero: use the sum of `volumic_pressure` and
-        `volumic_tension` for the normal traction that the fluid and the contact balance.
+        For a uniform displacement this is 1 - valence times the pressure, not zero. The normal traction that
+        balances fluid and contact is the sum of `volumic_pressure` and `volumic_tension`.
         """
         surface = self.surface
         change = surface.nodal_areas * displacement
@@ -96,7 +95,7 @@ class PaperFormulation(ScalarFormulation):
         return self.surface.nodal_areas
 
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
-        """All A_i terms updated: A_i (P_vp + P_vt) with dV_i = A_i L_i and V_i = A_i V / A of the current areas."""
+        """A_i (P_vp + P_vt) with current areas throughout: dV_i = A_i L_i and V_i = A_i V / A."""
         areas = state.nodal_areas
         change = areas * (x[:, 0] / self.scale)
         current_height = self.surface.volume / areas.sum()
@@ -119,15 +118,15 @@ class PaperFormulation(ScalarFormulation):
         return state.nodal_areas[:, None], self.volume_gradient(state) + self._unseen[:, None]
 
     def kept_volume(self, x: Array, state: DeformedSurface) -> float:
-        """The polyhedron's volume, of first order as printed: sum A_i L_i (19) in place of sum g_i . n_i L_i.
+        """The polyhedron's volume, with its first-order term as printed: sum A_i L_i (19), not sum g_i . n_i L_i.
 
-        So a vanishing load has the answer of the linear model. What facets turn away, |g_i| < A_i, is not kept.
+        It is the exact volume plus sum (A_i - |g_i|) L_i: a vanishing load then has the answer of the linear model.
         """
         return state.volume + float(self._unseen @ x[:, 0])
 
     @cached_property
     def _unseen(self) -> Array:
-        """(N,) the part of A_i, over A_i, that the gradient of the volume at rest has not."""
+        """(N,) share of A_i that is missing in the gradient of the volume at rest: 1 - g_i . n_i / A_i."""
         surface = self.surface
         along = np.einsum("ic,ic->i", surface.area_vectors, surface.normals)
         unseen: Array = 1.0 - along / surface.nodal_areas
@@ -137,5 +136,5 @@ class PaperFormulation(ScalarFormulation):
         return (-state.nodal_areas * load.contact_pressure)[:, None]
 
     def printed_volume_row(self, state: DeformedSurface) -> Array:
-        """`sum A_i L_i` with the current scalar A_i: as a row in x, A_i / A_i at rest."""
+        """Row of `sum A_i L_i` with the current areas; in x each entry is the current A_i over that at rest."""
         return (state.nodal_areas / self.scale)[:, None]

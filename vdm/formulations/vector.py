@@ -40,9 +40,9 @@ class VectorFormulation(DisplacementFormulation):
 
     @classmethod
     def free_motions(cls, surface: SurfaceMesh, parameters: Parameters, nodes: Mask) -> Array:
-        """The rigid motions, of which a tension without free rotations leaves the translations only.
+        """The rigid motions; a tension without free rotations leaves only the translations free.
 
-        None with a foundation, which may or may not stop them: then the factor has to tell.
+        None with a foundation, which may or may not stop them: the factor decides.
         """
         motions = super().free_motions(surface, parameters, nodes)
         if parameters.ground is not None:
@@ -84,7 +84,7 @@ class VectorFormulation(DisplacementFormulation):
         self.rows = self.columns
 
     def _with_global_rotation(self) -> tuple[Columns, Array]:
-        """Border of (dP, omega): stationarity in omega reads `sum_e w d x (u_i - u_j) = T J omega`."""
+        """Border of (dP, omega); stationarity in omega reads `sum_e w d x (u_i - u_j) = T J omega`."""
         surface = self.surface
         centred = surface.points - surface.points.mean(axis=0)
         # column k is the tension force of the rotation e_k: L (e_k x X) = e_k x (L X)
@@ -109,7 +109,7 @@ class VectorFormulation(DisplacementFormulation):
     def response(self, factor: Factor, columns: Columns) -> Columns:
         if self.coupling is not None or not isinstance(columns, TurningColumns):
             return super().response(factor, columns)
-        # the shared factor turns as the columns do: K^-1 (e_k x p) = e_k x K^-1 p
+        # rotations commute with the shared factor: K^-1 (e_k x p) = e_k x K^-1 p
         return TurningColumns(factor.solve(columns.first), factor.solve(columns.pull))
 
     def stiffness(self) -> sparse.csr_array:
@@ -121,7 +121,7 @@ class VectorFormulation(DisplacementFormulation):
         return diagonal if self.coupling is None else diagonal + self.coupling.diagonal()
 
     def deformed_internal_force(self, x: Array, state: DeformedSurface) -> Array:
-        """Tension about the best-fit finite rotation, stretch by the change of edge lengths, foundation at rest."""
+        """Tension about the best-fit finite rotation, stretch by changes of edge length, foundation as at rest."""
         return self._deformed(x, state)[0]
 
     def deformed_energy(self, x: Array, state: DeformedSurface) -> float:

@@ -1,15 +1,16 @@
-"""A body in parts at small displacements: their stiffnesses add up, and the nodes inside follow.
+"""A body in parts at small displacements: the stiffnesses of the parts add up, and inner nodes are eliminated.
 
-With A the sum of the parts' S_e at all nodes, each of which swells at no cost, and H_e their area vectors less the
-share V_e / V of the body's, nodes c of the caps and rims and pressures q of the parts follow from what the surface
-o does,
+A is the sum of the parts' S_e at all nodes, where uniform swelling of a part costs nothing. H_e are a part's area
+vectors less the share V_e / V of the body's. The surface o determines the nodes c of caps and rims, and the
+pressures q of the parts:
 
-`A_cc u_c - H_c q = -A_co u_o`, `H_c^T u_c = -H_o^T u_o`: parts swell as the body does,
+`A_cc u_c - H_c q = -A_co u_o`, `H_c^T u_c = -H_o^T u_o`
 
-and `A_oo u_o + A_oc u_c - H_o q` is the force on the surface. Where there are no rims the last of H_e follows from
-the others. Of compressible parts H_e is b and `H_c^T u_c + a q = -H_o^T u_o` (`vdm.peers.bem.Swelling`): no more
-than `S = S_0 + b b^T / a`; rims, which swell by nothing in sum, have a column of their own then. No matrix of the
-whole body is made: caps are few, and free nodes are eliminated part by part.
+The second equation makes parts swell as the body does. The force on the surface is `A_oo u_o + A_oc u_c - H_o q`.
+Without rims the last H_e follows from the others and is left out. For compressible parts H_e is b and
+`H_c^T u_c + a q = -H_o^T u_o` (`vdm.peers.bem.Swelling`), which is `S = S_0 + b b^T / a` in another form; rims,
+which add no volume in sum, then have a column of their own. No matrix of the whole body is made: caps are few,
+and free nodes are eliminated part by part.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from vdm.surface import SurfaceMesh
 
 
 class JoinedFormulation(BoundaryFormulation):
-    """A `BoundaryFormulation` of a body by those of its parts."""
+    """A `BoundaryFormulation` of a body, built from those of its parts."""
 
     has_matrix = False
 
@@ -43,7 +44,7 @@ class JoinedFormulation(BoundaryFormulation):
         *,
         has_rims: bool,
     ) -> None:
-        """`shared` (n,) nodes are the parts' C together, `joined` the factor of what those carry at rest."""
+        """`shared` (n,) marks the nodes C of all parts; `joined` is the factor of their stiffness at rest."""
         self._parts, self._shared_nodes, self._joined = parts, shared, joined
         super().__init__(whole.surface, whole.parameters)
         n_surface = whole.surface.n_nodes
@@ -77,14 +78,14 @@ class JoinedFormulation(BoundaryFormulation):
         self._schur = self._give + self._pressed.T @ self._moved
 
     def _assemble(self, held: Mask) -> None:
-        self._rims = Rims.of(self.surface, held)  # of none: the parts have theirs
+        self._rims = Rims.of(self.surface, held)  # without cuts: the parts have their own
 
     @property
     def n_coarse(self) -> int:
         return self.surface.n_nodes
 
     def known_forces(self, forces: Callable[[SurfaceMesh], Array]) -> Array:
-        """Of the parts, each of which knows what is under its rims."""
+        """From the parts, each of which resolves the forces under its rims."""
         given = [part.form.known_forces(forces) for part in self._parts]
         force = np.zeros((len(self._shared_nodes), 3, len(given[0])))
         for part, own in zip(self._parts, given, strict=True):
@@ -93,7 +94,7 @@ class JoinedFormulation(BoundaryFormulation):
         return np.asarray(self._condensed(force, apart).transpose(2, 0, 1))
 
     def pressure_force(self, pressure: Array) -> Array:
-        """As in `BoundaryFormulation`; caps, rims and compressible parts answer it too."""
+        """As in `BoundaryFormulation`; caps, rims and compressible parts respond too."""
         linear = np.column_stack([self.surface.points, np.ones(len(pressure))])
         fitted = np.linalg.lstsq(linear, pressure, rcond=None)[0]
         force = np.zeros((len(self._shared_nodes), 3))
@@ -113,9 +114,10 @@ class JoinedFormulation(BoundaryFormulation):
         return self._condensed(force, pressed.T @ moved.reshape(-1, k))
 
     def _condensed(self, force: Array, swells: Array) -> Array:
-        """Forces (N, 3, k) on the surface of those (n, 3, k) at all nodes, once the caps have given way to theirs.
+        """(N, 3, k) forces on the surface, from (n, 3, k) at all nodes, with the caps in equilibrium.
 
-        `swells` (p, k) is by how much parts swell apart, which they do not then, or as `give` lets them.
+        `swells` (p, k) is the excess swelling of each part, which the pressures remove, or reduce to what `give`
+        allows.
         """
         n, k = self.surface.n_nodes, force.shape[2]
         caps = self._caps.solve(np.asfortranarray(-force[n:].reshape(-1, k)))
@@ -125,7 +127,7 @@ class JoinedFormulation(BoundaryFormulation):
         return np.asarray((force + self._of_parts(moved))[:n] - self._apart[:n] @ pressures)
 
     def _of_parts(self, x: Array) -> Array:
-        """Forces (n, 3, k) of displacements at all nodes, those of caps too."""
+        """Forces (n, 3, k) of displacements (n, 3, k) at all nodes, caps included."""
         force = np.zeros_like(x)
         for part in self._parts:
             force[part.nodes] += part.form.swollen_forces(x[part.nodes])
@@ -142,7 +144,7 @@ class JoinedFormulation(BoundaryFormulation):
         return JoinedFactor(self._parts, self._shared_nodes, self._joined, self._apart, self._give, free)
 
     def diagonal(self) -> Array:
-        """Without what the caps give way."""
+        """(3N,) diagonal of the stiffness with all caps held."""
         own = np.zeros((len(self._shared_nodes), 3))
         for part in self._parts:
             own[part.nodes] += np.diagonal(part.form.matrix).reshape(-1, 3)
@@ -152,9 +154,9 @@ class JoinedFormulation(BoundaryFormulation):
 
 
 class JoinedFactor:
-    """Of all parts at rest over the free nodes: what parts share, then each part's inner nodes.
+    """Factor of all parts at rest over the free nodes: shared nodes first, then each part's inner nodes.
 
-    Pressures of the parts are a border of their own.
+    The pressures of the parts are a border of their own.
     """
 
     def __init__(
@@ -176,7 +178,7 @@ class JoinedFactor:
         return np.asarray(moved[self._unknowns] - self._answers[self._unknowns] @ pressures)
 
     def _answer(self, force: Array) -> Array:
-        """What forces (3n,) or (3n, m) at all nodes move, without the border."""
+        """Displacements of all nodes under forces (3n,) or (3n, m), without the border."""
         inside, right = list[Array](), force[self._shared]
         for part in self._parts:
             own = force[dofs(part.nodes[part.inner])]

@@ -1,11 +1,12 @@
-"""A body with lumps: regions of their own modulus inside, each a body of boundary elements, joined at their nodes.
+"""A body with lumps: inner regions of their own modulus, each a body of boundary elements, joined at their nodes.
 
-The stiffnesses S_r of all regions, each on the closed boundary of its own, add up to A. What is left on the surface
-o when the nodes i inside follow is, with `X = A_ii^-1 - A_ii^-1 G (G^T A_ii^-1 G)^-1 G^T A_ii^-1`,
+A is the sum of the stiffnesses S_r of all regions, each on its own closed boundary. Eliminating the inner nodes i
+leaves on the surface o, with `X = A_ii^-1 - A_ii^-1 G (G^T A_ii^-1 G)^-1 G^T A_ii^-1`,
 
-`S = A_oo - A_oi X A_io`,
+`S = A_oo - A_oi X A_io`.
 
-G the area vectors of the regions that keep their volume, the one at the surface apart: its pressure is the body's.
+G are the area vectors of the regions that keep their volume. The region at the surface is not among them: its
+pressure is the body's.
 """
 
 from __future__ import annotations
@@ -24,13 +25,13 @@ from vdm.parts.part import dofs
 from vdm.peers.bem import MAX_NODES, BoundaryFormulation, too_large
 from vdm.solution import SolverError
 
-# of the surface's nodes: lumps of fewer have their facets halved, for an error below the surface's own
+# of the number of surface nodes: lumps with fewer get halved facets, for an error below the surface's own
 HALVED = 0.25
 
 
 @dataclass(frozen=True)
 class _Inside:
-    """What the nodes inside leave on the n others.
+    """The eliminated inner nodes, k of them, beside n others.
 
     Attributes
     ----------
@@ -47,7 +48,7 @@ class _Inside:
 
     @classmethod
     def of(cls, matrix: Array, n: int, pressures: Array) -> tuple[Array, _Inside]:
-        """S (3n, 3n) of A (3(n + k), 3(n + k)) and G (3k, m), and what leaves it so."""
+        """S (3n, 3n) from A (3(n + k), 3(n + k)) and G (3k, m), and the elimination that gives it."""
         own, coupling = matrix[3 * n :, 3 * n :], matrix[: 3 * n, 3 * n :].copy()
         factor = linalg.cho_factor(own, lower=True, check_finite=False)
         pressed = np.asarray(linalg.cho_solve(factor, pressures))
@@ -63,14 +64,14 @@ class _Inside:
         return moved - self.pressed @ np.linalg.solve(self.schur, self.pressed.T @ force)
 
     def carried(self, force: Array) -> Array:
-        """(3n, m) of forces (3(n + k), m)."""
+        """(3n, m) forces equivalent to (3(n + k), m) at all nodes."""
         n = len(self.coupling)
         return np.asarray(force[:n] - self.coupling @ self.solve(force[n:]))
 
 
 @dataclass
 class _Regions:
-    """Sums over the regions as they are made: nodes are those of the surface, its rims and the inside."""
+    """Sums over the regions added so far; nodes are those of the surface, its rims and the inside."""
 
     points: Array
     dtype: type[np.floating[Any]]
@@ -84,10 +85,10 @@ class _Regions:
     def add(
         self, triangles: Index, modulus: float, ratio: float, numbers: Index | None, arms: Array
     ) -> Array:
-        """Add a region of closed boundary (F, 3), outward; (n, 3) its area vectors.
+        """Add a region with the closed outward boundary (F, 3); returns its area vectors (n, 3).
 
-        `weight` gets the forces of the pressures x, y, z of `arms` (n, 3) and 1, as
-        `BoundaryFormulation.pressure_force` has them.
+        `weight` gains the forces of the pressures x, y, z, of `arms` (n, 3), and 1, as in
+        `BoundaryFormulation.pressure_force`.
         """
         from vdm.boundary.operators import Facets, surface_stiffness
 
@@ -114,14 +115,14 @@ class _Regions:
 
 
 class LumpyFormulation(BoundaryFormulation):
-    """A `BoundaryFormulation` of a body with lumps (`Parameters.lumps`), whose inner nodes are eliminated.
+    """A `BoundaryFormulation` of a body with lumps (`Parameters.lumps`); the inner nodes are eliminated.
 
-    Where the body keeps its volume and a lump does not, the body has Poisson's ratio `INCOMPRESSIBLE` instead.
+    Where the body keeps its volume and a lump does not, the body gets Poisson's ratio `INCOMPRESSIBLE`.
 
     Raises
     ------
     SolverError
-        more than `MAX_NODES` nodes, those inside counted.
+        more than `MAX_NODES` nodes, inner ones included.
     """
 
     _weight: Array
@@ -146,7 +147,7 @@ class LumpyFormulation(BoundaryFormulation):
         sums = _Regions(np.vstack([cut.points, lumps.points]), precision(surface.n_nodes))
         arms = sums.points - surface.points.mean(axis=0)
 
-        # nodes inside follow those of the rims
+        # inner nodes are numbered after those of the rims
         bounds = lumps.bounds(np.where(lumps.facets < surface.n_nodes, 0, n - surface.n_nodes) + lumps.facets)
         numbers = np.arange(len(cut.triangles))
         if sums.dtype is np.float32:
@@ -170,7 +171,7 @@ class LumpyFormulation(BoundaryFormulation):
         return {**super().record(), "lumps": float(len(self.parameters.lumps.shear_moduli))}
 
     def pressure_force(self, pressure: Array) -> Array:
-        """As in `BoundaryFormulation`; each region has a compressibility of its own."""
+        """As in `BoundaryFormulation`; each region has its own compressibility."""
         arms = self.surface.points - self.surface.points.mean(axis=0)
         fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
         return np.asarray(self._weight @ fitted)

@@ -1,4 +1,4 @@
-"""One of the parts of a body: its stiffness, and what is left of it at the nodes that it shares."""
+"""One part of a body: its stiffness, and its condensed stiffness at the nodes that it shares."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFac
 
 @dataclass(frozen=True)
 class Part:
-    """One of the parts: n nodes of the body, of which some are inner and free (I), some shared and free (C).
+    """One part of a body, with n of its nodes; I are the inner free nodes, C the shared free ones.
 
     Attributes
     ----------
@@ -22,10 +22,10 @@ class Part:
     form : its stiffness
     body : its surface, ready to be deformed
     inner, shared : masks (n,) of I and C
-    owns : mask (n,) of the nodes of the body's surface that turn with it
-    walls : (F, k) whether its facets are of the wall of each cavity that a fluid fills
-    areas : (n,) shares of its nodes in its surface
-    places : (n_C,) of the shared nodes among all shared ones
+    owns : mask (n,) of the nodes of the body's surface that turn with the part
+    walls : (F, k) whether a facet belongs to the wall of each fluid-filled cavity
+    areas : (n,) area of each node on the part's surface
+    places : (n_C,) position of the shared nodes among those of all parts
     block : factor of S_II
     follows : (3 n_I, 3 n_C) T
     carried : (3 n_C, 3 n_C) S_CC - S_CI T
@@ -46,7 +46,7 @@ class Part:
 
     @property
     def swelling(self) -> Swelling:
-        """Of its form."""
+        """The swelling of its form."""
         assert self.form.swelling is not None
         return self.form.swelling
 
@@ -61,7 +61,7 @@ def condensed(
     places: Index,
     block: Factor | None,
 ) -> Part:
-    """A part whose inner nodes are eliminated; `block` is their factor, without the swelling, where it is known."""
+    """A part with its inner nodes eliminated; `block` is their factor without the swelling, where known."""
     i, c = dofs(np.flatnonzero(inner)), dofs(np.flatnonzero(shared))
     follows, carried = np.zeros((len(i), 0)), np.zeros((0, 0))
     swelling = form.swelling
@@ -85,7 +85,7 @@ def condensed(
 
 
 class Nothing:
-    """The factor of no unknowns: of a part without inner nodes that are free, of parts that share none."""
+    """The factor of no unknowns: for parts without free inner nodes, or parts that share none."""
 
     def solve(self, right_hand_side: Array) -> Array:
         return right_hand_side

@@ -1,1 +1,1 @@
-"""Surface models beside VDM, to judge it by: boundary elements and springs. No form of VDM imports them."""
+"""Surface models to compare VDM with: boundary elements and springs. No form of VDM imports them."""

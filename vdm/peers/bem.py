@@ -1,4 +1,4 @@
-"""The surface that knows its inside: elastic forces of the homogeneous body by boundary elements, without a fit."""
+"""Boundary elements: elastic forces of the homogeneous body from its surface alone, without a fit."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
 
-# of a dense matrix of (3N)^2 numbers
+# largest number of nodes N of a dense matrix of (3N)^2 numbers
 MAX_NODES = 2000
-# unknowns up to which the inverse is worth its making: 0.2 s of 3 at 1,000 nodes
+# largest number of unknowns for which an inverse is made: 0.2 s of 3 at 1,000 nodes
 INVERTED = 3000
-# smallest over largest pivot of a factor that is told from a singular one
+# smallest pivot over the largest one, below which a factor counts as singular
 PIVOT_TOLERANCE = 1e-8
 DENSE = Status(
     "dense", "boundary elements have a dense factor, in double precision only", "use the linear solver"
@@ -39,23 +39,23 @@ INDEFINITE = Status(
 class BoundaryFormulation(DisplacementFormulation):
     """Stationary point of `1/2 u.S u - sum (dP + rho g delta_i) g_i.u_i - sum F_i.u_i` under `sum g_i.u_i = 0`.
 
-    S is the body's surface stiffness by symmetric Galerkin boundary elements: the work of the tractions that a
-    solid of shear modulus mu needs for u (see `vdm.boundary.operators`). Poisson's ratio 1/2 is VDM's fluid: it
-    keeps the volume, and dP is its pressure, the null vector of the single layer. A solid of a smaller ratio has
-    no such constraint; dP is then its mean pressure, `-kappa (sum g_i.u_i) / V`. A cavity that a fluid fills has a
-    pressure too, and keeps its volume.
+    S is the body's surface stiffness by symmetric Galerkin boundary elements: the work of the tractions of a
+    solid of shear modulus mu under u (see `vdm.boundary.operators`). Poisson's ratio 1/2 is VDM's fluid: it keeps
+    the volume, and dP is its pressure, the null vector of the single layer. A smaller ratio has no such
+    constraint; dP is then the mean pressure `-kappa (sum g_i.u_i) / V`. A fluid-filled cavity also has a
+    pressure, and keeps its volume.
 
-    Facets at the rim of the held nodes are cut inside (`vdm.boundary.rims`), unless the numbers of their tractions
-    (F,) are given: then they are cut already. Other nodes may be held later, at the mesh's own resolution. It is as
-    precise as a body of `precise_as` nodes, else of its own.
+    Facets at the rim of the held nodes are cut (`vdm.boundary.rims`). They are not cut where numbers of tractions
+    (F,) are given: the facets are then cut already. Other nodes may be held later, at the mesh's own resolution.
+    The precision is that of a body of `precise_as` nodes, by default its own number.
 
-    Dense, (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
+    The matrix is dense, with (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
-    At large displacements it is one of the parts of `vdm.parts.body`. S turns with the rotation Q that best fits
-    the part's surface: `E = 1/2 w.S w`, w = (positions) Q^T - (rest), Q from `sum a_i |x_i - X_i Q|^2`, areas a_i
-    and arms X_i at rest. As Q turns with the positions, the force is `Q^T S w` less `lambda x (a_i X_i Q)`: forces
-    that take off the moment of the first term, so that the internal force has neither a resultant nor a moment. S
-    has its `swelling` there, where that is set.
+    At large displacements this form is one of the parts of `vdm.parts.body`. S turns with the rotation Q that
+    best fits the part's surface: `E = 1/2 w.S w`, w = (positions) Q^T - (rest), with Q from
+    `sum a_i |x_i - X_i Q|^2`, areas a_i and arms X_i at rest. Q depends on the positions, so that the force is
+    `Q^T S w` less `lambda x (a_i X_i Q)`. These forces remove the moment of the first term: the internal force
+    has neither a resultant nor a moment. There S includes its `swelling`, where that is set.
 
     Raises
     ------
@@ -116,7 +116,7 @@ class BoundaryFormulation(DisplacementFormulation):
 
     @cached_property
     def matrix(self) -> Array:
-        """(3N, 3N) S, made when it is first asked for: of a body in parts nothing does."""
+        """(3N, 3N) S, made at first use; a body in parts never uses it."""
         if self.surface.n_nodes > MAX_NODES:
             raise SolverError(too_large(self.surface.n_nodes))
         try:
@@ -125,15 +125,15 @@ class BoundaryFormulation(DisplacementFormulation):
             raise SolverError(INDEFINITE) from error
 
     def _refined(self, held: Mask) -> Array:
-        """(3N, 3N) S of the surface, cut along the rims of what is held."""
+        """(3N, 3N) S of the surface, cut along the rims of the held nodes."""
         near = np.concatenate([held, np.zeros(self.resolved.n_nodes - len(held), np.bool_)])
         return self._dense(self._rims, near)
 
     def _dense(self, rims: Rims, held: Mask) -> Array:
         """(3N, 3N) S of a surface of N nodes, cut along its rims.
 
-        Facets share tractions as they were given, else in single precision, but at the rim of these held nodes of
-        the cut surface.
+        In single precision facets share tractions: in the given numbering, by default in pairs away from the
+        `held` nodes (N + k,) of the cut surface.
         """
         # numba takes a third of a second to import
         from vdm.boundary.operators import Facets, precision, surface_stiffness
@@ -151,12 +151,12 @@ class BoundaryFormulation(DisplacementFormulation):
 
     @property
     def n_coarse(self) -> int:
-        """Nodes of the body that the integrals are of."""
+        """Number of nodes of the boundary-element mesh."""
         return len(self.matrix) // 3
 
     @property
     def is_incompressible(self) -> bool:
-        """Whether the volume is kept, by a pressure that is an unknown."""
+        """Whether the volume is kept, with a pressure as an unknown."""
         return self.poisson_ratio == 0.5
 
     @property
@@ -172,11 +172,11 @@ class BoundaryFormulation(DisplacementFormulation):
         return self.elastic_force(x) + self.ground_force(x)
 
     def elastic_force(self, x: Array) -> Array:
-        """S u, (N, 3), which reads half of the matrix."""
+        """S u, (N, 3); reads half of the matrix."""
         return np.asarray(blas.dsymv(1.0, self.matrix.T, x.reshape(-1), lower=1)).reshape(-1, 3)
 
     def elastic_forces(self, x: Array) -> Array:
-        """S u of k displacements (N, 3, k) at once, which reads the matrix once."""
+        """S u for k displacements (N, 3, k); reads the matrix once."""
         force: Array = (self.matrix @ x.reshape(len(self.matrix), -1)).reshape(x.shape)
         return force
 
@@ -199,11 +199,11 @@ class BoundaryFormulation(DisplacementFormulation):
         return own if ground is None else own + ground.diagonal()
 
     def _grounded(self, block: Array, nodes: Mask) -> Array:
-        """A block of S over some nodes, with their springs added to it."""
+        """A block of S over some nodes, with their springs added."""
         if self.parameters.ground is not None:
             dofs = np.repeat(nodes, 3)
             springs = self.parameters.ground[dofs][:, dofs].tocoo()
-            block[springs.coords] += springs.data  # one entry a place: a sum of two would be lost
+            block[springs.coords] += springs.data  # entries are unique: a duplicate would be lost
         return block
 
     @property
@@ -212,7 +212,7 @@ class BoundaryFormulation(DisplacementFormulation):
 
     def carried(self, force: Array) -> Array:
         if len(self._rims.follows):
-            _ = self.matrix  # what follows at the rims is known with it
+            _ = self.matrix  # also sets the rims' `follows`
         return self._rims.carried(force)
 
     @property
@@ -222,9 +222,9 @@ class BoundaryFormulation(DisplacementFormulation):
     def pressure_force(self, pressure: Array) -> Array:
         """Force (N, 3) of weight, given as the hydrostatic pressure (N,) that would carry it.
 
-        The stress -p I of a linear p = b . x balances a force b per volume. In a compressible body it belongs to
-        the displacement `-((b . x) x - b |x|^2 / 2) / (3 kappa)`, a strain -p I / (3 kappa): what is left to find
-        is a field without a force inside, whose nodal forces are those of p and those of that displacement.
+        The stress -p I of a linear p = b . x balances a force b per volume. In a compressible body its strain
+        `-p I / (3 kappa)` belongs to the displacement `-((b . x) x - b |x|^2 / 2) / (3 kappa)`. The remaining
+        field has no force inside; its nodal forces are those of p and of that displacement.
         """
         arms = self.surface.points - self.surface.points.mean(axis=0)
         fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
@@ -236,7 +236,7 @@ class BoundaryFormulation(DisplacementFormulation):
         return force + self.elastic_force(moved)
 
     def pressed_at_rims(self) -> Array:
-        """(N, 3, 3) what the new nodes of rims add to the forces of the pressures x, y, z [N/(Pa/m)]."""
+        """(N, 3, 3) forces that the new nodes of rims add to those of the pressures x, y, z [N/(Pa/m)]."""
         body, cut = self.surface, self.resolved
         if cut is body:
             return np.zeros((body.n_nodes, 3, 3))
@@ -247,7 +247,7 @@ class BoundaryFormulation(DisplacementFormulation):
         return self.carried(of_cut) - of_body
 
     def squeezed(self) -> Array:
-        """(N, 3, 3) displacements of the pressures x, y, z about the nodes' mean, over these [m/(Pa/m)]."""
+        """(N, 3, 3) displacements under the pressures x, y, z about the nodes' mean, per slope [m/(Pa/m)]."""
         arms = self.surface.points - self.surface.points.mean(axis=0)
         half = 0.5 * np.square(arms).sum(axis=1)[:, None, None] * np.eye(3)
         found: Array = (half - arms[:, :, None] * arms[:, None, :]) / (3.0 * self.bulk_modulus)
@@ -264,41 +264,40 @@ class BoundaryFormulation(DisplacementFormulation):
         return 0.5 * float(np.vdot(unturned, force) + np.vdot(x, self.ground_force(x)))
 
     def swollen_force(self, x: Array) -> Array:
-        """Force (N, 3) of a displacement in the body's frame at large displacements: S u and its swelling."""
+        """(N, 3) force S u, with its swelling, of a displacement in the body's rotated frame."""
         force = self.elastic_force(x)
         return force if self.swelling is None else force + self.swelling.forces(x)
 
     def swollen_forces(self, x: Array) -> Array:
-        """The same of k displacements (N, 3, k) at once."""
+        """The same for k displacements (N, 3, k) at once."""
         force = self.elastic_forces(x)
         return force if self.swelling is None else force + self.swelling.forces(x)
 
     def swollen_block(self, rows: Index, columns: Index) -> Array:
-        """The block of S and its swelling of some unknowns."""
+        """A block of S, with its swelling, by unknowns."""
         block: Array = self.matrix[np.ix_(rows, columns)]
         if self.swelling is not None:
             block += self.swelling.block(rows, columns)
         return block
 
     def unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
-        """The best-fit rotation Q of the nodes and the displacement left after it is undone."""
+        """The best-fit rotation Q of the nodes, and the displacement after undoing it."""
         turn = state.rotation
         return turn, state.positions @ turn.T - state.body.rest
 
 
 @dataclass(frozen=True)
 class Swelling:
-    """What makes a uniform swelling X of a body cost nothing, `S_0 = S + U C U^T`, and what it costs by volume.
+    """Makes a uniform swelling X of a body free, `S_0 = S + U C U^T`, and charges for the change of volume instead.
 
-    Small strain knows the flux `g.w` of a displacement w, the polyhedron its volume V: where something turns within
-    the body they differ, by a term of second order. What S says of a flux is said of the volume instead. With
-    `g.X = 3 V`:
+    S measures the flux `g.w` of a displacement w. Where something turns within the body, the flux differs from
+    the change of the polyhedron's volume V by a term of second order. The volume replaces it. With `g.X = 3 V`:
 
-    - nu = 1/2: what S says of it hangs on its null vector. `S_0 = P^T S P`, `P = I - X g^T / (3 V)`,
+    - nu = 1/2: S keeps the flux by its null vector. `S_0 = P^T S P`, `P = I - X g^T / (3 V)`,
       `U = [g / 3V, S X]`, `C = [[X.S X, -1], [-1, 0]]`. Where g.w is zero nothing changes. V is kept.
-    - less: `S_0 = S - S X X^T S / (X.S X)`, not negative, and `S = S_0 + b b^T / a` with `b = 3 V S X / (X.S X)`,
-      `a = (3 V)^2 / (X.S X)`. X makes a uniform pressure, so that b is g, but for quadrature and what a coarse body
-      does not resolve: `b = g + v`. The energy is `1/2 w.S_0 w + (V - V_0 + v.w)^2 / (2 a)`.
+    - smaller nu: `S_0 = S - S X X^T S / (X.S X)`, not negative, and `S = S_0 + b b^T / a` with
+      `b = 3 V S X / (X.S X)`, `a = (3 V)^2 / (X.S X)`. X gives a uniform pressure, so that b is g, up to errors
+      of quadrature and of a coarse body: `b = g + v`. The energy is `1/2 w.S_0 w + (V - V_0 + v.w)^2 / (2 a)`.
 
     Attributes
     ----------
@@ -315,7 +314,7 @@ class Swelling:
 
     @classmethod
     def of(cls, form: BoundaryFormulation) -> Swelling:
-        """That of a body."""
+        """The swelling of a body at rest."""
         arms = form.surface.points - form.surface.points.mean(axis=0)
         pulled, g = form.elastic_force(arms), form.surface.area_vectors
         work, flux = float(np.vdot(arms, pulled)), float(np.vdot(g, arms))
@@ -326,21 +325,21 @@ class Swelling:
         return cls(pulled.reshape(-1, 1), np.array([[-1.0 / work]]), beyond, flux**2 / work)
 
     def forces(self, x: Array) -> Array:
-        """Of displacements (N, 3) or (N, 3, k), of their shape."""
+        """Forces U C U^T x of displacements (N, 3) or (N, 3, k), same shape."""
         flat = x.reshape(len(self.vectors), -1)
         return np.asarray(self.vectors @ (self.core @ (self.vectors.T @ flat))).reshape(x.shape)
 
     def block(self, rows: Index, columns: Index) -> Array:
-        """Of some unknowns."""
+        """A block of U C U^T, by unknowns."""
         return np.asarray((self.vectors[rows] @ self.core) @ self.vectors[columns].T)
 
     def pressure(self, x: Array) -> float:
-        """3 V times what a pressure beside S is above one beside `S_0`, in a displacement (N, 3) [Pa m^3]."""
+        """3 V times the pressure beside S less the one beside `S_0`, at a displacement (N, 3) [Pa m^3]."""
         return 0.0 if self.give else float(self.vectors[:, 1] @ x.reshape(-1))
 
 
 class SwollenFactor:
-    """Factor of a block of S with its swelling, by that of S (Woodbury)."""
+    """Factor of a block of S with its swelling, from the factor of S (Woodbury)."""
 
     def __init__(self, factor: Factor, swelling: Swelling, unknowns: Index) -> None:
         self._factor, self._vectors = factor, swelling.vectors[unknowns]
@@ -354,11 +353,11 @@ class SwollenFactor:
 
 
 def turned_back(force: Array, turns: Array, state: DeformedSurface, each: Sequence[slice]) -> Array:
-    """Elastic forces (N, 3) in the world of bodies that lie one after another, of those in their frames.
+    """Elastic forces (N, 3) in space, from those in the rotated frames of bodies that lie one after another.
 
-    Body b has the nodes each[b] and the best-fit rotation turns[b]. The energy changes with it too:
-    dQ = Q [omega]x with `(tr P - P) omega = -sum levers x dx`, `P = sum levers (x) positions`, is symmetric, and it
-    changes by `omega . sum positions x force`.
+    Body b has the nodes each[b] and the best-fit rotation turns[b]. The energy also changes with Q:
+    `dQ = Q [omega]x` with `(tr P - P) omega = -sum levers x dx`, where `P = sum levers (x) positions` is symmetric.
+    The energy changes by `omega . sum positions x force`.
     """
     own, levers = (
         np.concatenate([force[span] @ q for span, q in zip(each, turns, strict=True)]),
@@ -376,12 +375,12 @@ def turned_back(force: Array, turns: Array, state: DeformedSurface, each: Sequen
 
 
 def moments(arms: Array, vectors: Array, each: Sequence[slice]) -> Array:
-    """(m, 3, 3) sums of arm^T vector over the nodes each[b] of bodies that lie one after another, (N, 3)."""
+    """(m, 3, 3) sums of arm^T vector over the nodes each[b] of body b, with arms and vectors (N, 3)."""
     return np.stack([arms[span].T @ vectors[span] for span in each])
 
 
 def too_large(n_nodes: int) -> Status:
-    """What is said of a surface that a dense matrix is no way for."""
+    """The status of a surface with too many nodes for a dense matrix."""
     return Status(
         "too-large",
         f"{n_nodes:,} nodes are more than the {MAX_NODES:,} of the dense matrix of boundary elements",
@@ -390,10 +389,10 @@ def too_large(n_nodes: int) -> Status:
 
 
 class DenseFactor:
-    """Cholesky factor of a symmetric positive definite dense matrix; of up to `INVERTED` unknowns its inverse.
+    """Cholesky factor of a symmetric positive definite dense matrix; its inverse for up to `INVERTED` unknowns.
 
-    A frame reads half of an inverse once and half of a factor twice, one after the other. An inverse takes twice as
-    long to make as a factor: `few` solutions are not worth it.
+    A frame reads half of an inverse once, or half of a factor twice in turn. An inverse takes twice as long to
+    make as a factor: with `few` solutions it is not made.
 
     Raises
     ------
@@ -403,7 +402,7 @@ class DenseFactor:
 
     def __init__(self, matrix: Array, *, few: bool = False) -> None:
         try:
-            # a symmetric matrix is its own transpose, which is in the order that LAPACK works in place with
+            # the transpose, equal by symmetry, has the memory order in which LAPACK works in place
             self._factor = linalg.cho_factor(matrix.T, lower=True, overwrite_a=True, check_finite=False)[0]
         except linalg.LinAlgError as error:
             raise SolverError(INDEFINITE) from error
@@ -422,6 +421,6 @@ class DenseFactor:
             return np.asarray(lapack.dpotrs(self._factor, right_hand_side, lower=1)[0])
         if self._inverse is not None:
             return np.asarray(blas.dsymv(1.0, self._inverse, right_hand_side, lower=1))
-        # LAPACK's own takes a single right-hand side for a matrix: half as fast
+        # LAPACK's own solve treats one right-hand side as a matrix, at half the speed
         half = blas.dtrsv(self._factor, right_hand_side, lower=1)
         return np.asarray(blas.dtrsv(self._factor, half, lower=1, trans=1, overwrite_x=1))

@@ -1,4 +1,4 @@
-"""`bem` on many nodes: a coarse body by boundary elements, springs for what it does not resolve."""
+"""Boundary elements on many nodes: a coarse body, and springs for motion that it does not resolve."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from vdm.surface import SurfaceMesh
 if TYPE_CHECKING:
     from vdm.boundary.interpolation import Interpolation
 
-# fine nodes that are multiplied with a dense matrix of the coarse body at once: bounds the temporary arrays
+# fine nodes per product with the coarse body's dense matrix: bounds the temporary arrays
 ROWS = 4096
-# largest change of a random load by the factor and back, of itself
+# largest relative change of a random displacement after applying the operator and the factor
 LARGEST_LOSS = 1e-6
 NO_MATRIX = Status(
     "too-large",
@@ -37,24 +37,24 @@ class SparseFormulation(BoundaryFormulation):
     """`E(u) = 1/2 (R u).S (R u) + 1/2 (u - P R u).D (u - P R u)` in place of `bem`'s `1/2 u.S u`.
 
     S is the stiffness of a coarse body of at most `Parameters.coarse_nodes` nodes by boundary elements. P
-    interpolates from its nodes to the surface's, and `R = (P^T D P)^-1 P^T D` fits the coarse body to what moves.
-    Springs D answer for the rest, which varies within a coarse facet. A half-space answers a wave of wave number k
-    by mu |k| / (1 - nu) per area. Over all waves from the coarse mesh's shortest, pi / h, to the fine one's, under
-    loads of one size, the mean compliance is that of the mean of the two wave numbers: the springs take it. h is
-    the mesh size around, so that a graded mesh has graded springs. The coarse body is finer at the rims of what is
-    held (`vdm.boundary.coarsening`). Nothing is fitted.
+    interpolates from its nodes to the surface's. `R = (P^T D P)^-1 P^T D` fits the coarse body to a displacement.
+    Springs D resist the remaining displacement, which varies within a coarse facet. A half-space answers a wave
+    of wave number k by mu |k| / (1 - nu) per area. The springs take the mean of the two wave numbers pi / h of
+    the coarse and the fine mesh. Over all waves between these, under loads of one size, that gives the mean
+    compliance. h is the local mesh size, so that a graded mesh has graded springs. The coarse body is finer at
+    the rims of held nodes (`vdm.boundary.coarsening`). Nothing is fitted.
 
     Both parts are positive on every mesh, and rigid motions cost nothing. With all nodes in the coarse body it is
     `bem` itself. Held nodes are held where they are, at the resolution of the fine surface.
 
     With `G = P^T D P` and `Q = G^-1 (S - G) G^-1` the operator is `D + D P Q P^T D`. Over the free nodes its
-    inverse is `D^-1 + P W P^T`, `W = (I - G^-1 S) (S + G_held (I - G^-1 S))^-1`: a frame is one product with a
-    dense symmetric matrix of the coarse body between two sparse ones.
+    inverse is `D^-1 + P W P^T`, `W = (I - G^-1 S) (S + G_held (I - G^-1 S))^-1`. A frame is one product with a
+    dense symmetric matrix of the coarse body, between two sparse ones.
     """
 
     name = "bem-sparse"
     has_matrix = False
-    # the interpolation makes columns unlike that are alike; a thousandth of the form's own error
+    # interpolation makes similar columns differ; a thousandth of the form's own error
     left_out_far = 1e-4
 
     @classmethod
@@ -83,11 +83,11 @@ class SparseFormulation(BoundaryFormulation):
         self._stand_on(coarse.surface, interpolation(surface, coarse), stiffness)
 
     def _stand_on(self, body: SurfaceMesh, spread: Interpolation, stiffness: Array) -> None:
-        """Take the coarse body (n nodes), what spreads it over the surface, and its stiffness (3n, 3n)."""
+        """Take the coarse body (n nodes), its interpolation to the surface, and its stiffness (3n, 3n)."""
         surface = self.surface
         self.coarse, self.cells, self.body = body, spread.cells, stiffness
         n = body.n_nodes
-        # both by columns: scipy's product with three vectors is then half as long, as no sum waits for itself
+        # both by columns: scipy's product with three vectors then takes half the time
         self.spread = sparse.csc_array(spread.weights)
         self.gather = sparse.csc_array(spread.weights.T)
         coarse_size = np.sqrt(np.bincount(spread.cells, surface.nodal_areas, n))[spread.cells]
@@ -125,7 +125,7 @@ class SparseFormulation(BoundaryFormulation):
         if factorise not in (Cholesky, SingleFactor):
             raise SolverError(NO_MATRIX)
         if factorise is Cholesky and self.n_coarse == self.surface.n_nodes:
-            # nothing is left to springs: S itself over the free nodes, which leaves the held ones out of a frame
+            # no springs: S itself over the free nodes, without the held ones in a frame
             unknowns = np.repeat(free, 3)
             return DenseFactor(self.body[np.ix_(unknowns, unknowns)])
         return SparseInverse(self, free, np.float32 if factorise is SingleFactor else np.float64)
@@ -155,7 +155,7 @@ class SparseFormulation(BoundaryFormulation):
 
 
 class RoughFormulation(SparseFormulation):
-    """On an eighth of the nodes: a few per cent of what the whole body costs."""
+    """On an eighth of the nodes: a few per cent of the cost of the whole body."""
 
     @property
     def _most_coarse(self) -> int:
@@ -163,7 +163,7 @@ class RoughFormulation(SparseFormulation):
 
 
 class _OnSprings(SparseFormulation):
-    """A coarse body on the springs of the fine one, if any: they pull at what it moves of the surface."""
+    """A coarse body with the fine surface's springs to the ground, which pull at its interpolated motion."""
 
     def __init__(self, surface: SurfaceMesh, parameters: Parameters, held: Mask | None = None) -> None:
         self._ground = parameters.ground
@@ -177,7 +177,7 @@ class _OnSprings(SparseFormulation):
 
 
 class HalfFormulation(_OnSprings):
-    """On half of the nodes, with integrals of its own; of a large body on half of `coarse_nodes`."""
+    """On half of the nodes, or half of `coarse_nodes` for a large body, with its own integrals."""
 
     @property
     def _most_coarse(self) -> int:
@@ -185,7 +185,7 @@ class HalfFormulation(_OnSprings):
 
 
 class HalvedFormulation(_OnSprings):
-    """A form of boundary integrals on about half of its nodes, without an integral of its own: S is P^T S P."""
+    """On about half of a form's nodes, without integrals of its own: S is P^T S P."""
 
     def __init__(self, form: BoundaryFormulation) -> None:
         self._whole = form
@@ -196,7 +196,7 @@ class HalvedFormulation(_OnSprings):
         from vdm.boundary.interpolation import Interpolation, interpolation
 
         whole = self._whole
-        self._rims = Rims.of(self.surface, held)  # of none
+        self._rims = Rims.of(self.surface, held)  # without cuts
         body = whole.coarse if isinstance(whole, SparseFormulation) else whole.surface
         coarse = coarsened(body, body.n_nodes // 2)
         spread = interpolation(body, coarse)
@@ -237,7 +237,7 @@ class SparseInverse:
         return self.solve_with_inside(right_hand_side)[0]
 
     def solve_with_inside(self, right_hand_side: Array) -> tuple[Array, Array]:
-        """Solution, and what the coarse body does of it (3n,) or (3n, m)."""
+        """The solution, and the coarse body's displacement (3n,) or (3n, m) in it."""
         n_free, m = len(self._give), right_hand_side.shape[1:]
         force = np.asarray(right_hand_side.reshape(n_free, 3 * int(np.prod(m))), dtype=self._dtype)
         gathered = (self._gather @ force).reshape(len(self._response), *m)
@@ -249,7 +249,7 @@ class SparseInverse:
         return moved.reshape(right_hand_side.shape).astype(np.float64, copy=False), inside
 
     def held_force(self, inside: Array) -> Array:
-        """(n_held, 3) elastic force at the held nodes: their springs pulled by the coarse body."""
+        """(n_held, 3) elastic force at the held nodes: the coarse body pulls their springs."""
         return -self._held_springs[:, None] * np.asarray(self._held_spread @ inside.reshape(-1, 3))
 
     def _check(self, form: SparseFormulation, free: Mask) -> None:
@@ -262,7 +262,7 @@ class SparseInverse:
 
 
 def _solve_blocks(factor: tuple[Array, bool], matrix: Array) -> Array:
-    """(G^-1 x I_3) times a matrix (3n, k), by the factor of the scalar G (n, n)."""
+    """(G^-1 x I_3) times a matrix (3n, k), with the factor of the scalar G (n, n)."""
     n = len(factor[0])
     solved = linalg.cho_solve(factor, matrix.reshape(n, -1), check_finite=False)
     return np.asarray(solved).reshape(matrix.shape)

@@ -14,8 +14,8 @@ from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
 
-# sum c_r L_r / (mu V): 15 in a dense network that follows the strain; this coarse one yields more, and the number
-# fits an incompressible ball under a finger's patch, as does the skin's share
+# sum c_r L_r / (mu V): 15 for a dense network that follows the strain. This coarse one yields more; 33 and the
+# skin's share fit an incompressible ball under a finger's patch
 RIGIDITY = 33.0
 SKIN_SHARE = 0.3
 # struts of a node: one along the inward normal and this many around it at the angle of `_TILT`
@@ -23,8 +23,8 @@ _TILTED = 3
 _TILT = np.pi / 4.0
 # a strut ends at the nearest facing node within this angle of its direction
 _CONE = np.cos(np.radians(20.0))
-# struts cross the body, which leaves a factor nothing to skip: 0.9 GB and minutes at so many nodes, as their square
-# and cube beyond
+# struts cross the body, so that the factor is dense: 0.9 GB and minutes at this many nodes, growing as their
+# square and cube
 MAX_NODES = 5000
 _CHUNK = 256  # nodes per pass: bounds the temporary arrays
 
@@ -33,12 +33,12 @@ class MassSpringFormulation(DisplacementFormulation):
     """Stationary point of `1/2 sum k_r ((u_i - u_j).e_r)^2 - sum (dP + rho g delta_i) g_i.u_i - sum F_i.u_i`
     under `sum g_i.u_i = 0`, r over the springs.
 
-    Springs are rods of stiffness k_r = c_r / L_r: the edges of the surface, and from every node four struts to
-    the far side, for a skin alone has no stiffness where it is flat. Rods in all directions that fill the share
-    phi of a body and have Young's modulus E_r give it the shear modulus phi E_r / 15 (Cox, Br. J. Appl. Phys. 3
-    (1952) 72, for a network that follows the strain). Few rods yield more: `sum c_r L_r = 33 mu V`, fitted to an
-    incompressible ball once. 0.3 of it lies in the skin, shared among the edges by the area of their facets as
-    van Gelder (J. Graphics Tools 3 (1998) 21) has it, the rest in the struts, shared by the nodes' areas.
+    Springs are rods of stiffness k_r = c_r / L_r: the edges of the surface, and four struts from every node to
+    the far side, because a flat skin alone has no stiffness. Rods in all directions with Young's modulus E_r,
+    which fill the share phi of a body, give the shear modulus phi E_r / 15 (Cox, Br. J. Appl. Phys. 3 (1952) 72,
+    for a network that follows the strain). Few rods yield more: `sum c_r L_r = 33 mu V`, fitted once to an
+    incompressible ball. 0.3 of the sum is in the skin, divided among the edges by the area of their facets (van
+    Gelder, J. Graphics Tools 3 (1998) 21). The rest is in the struts, divided by the nodes' areas.
 
     At large displacements the springs turn and stretch with the surface.
 
@@ -98,7 +98,7 @@ class MassSpringFormulation(DisplacementFormulation):
         return 0.5 * float(stretch + np.vdot(x, self.ground_force(x)))
 
     def _stretched(self, state: DeformedSurface) -> tuple[Array, Array]:
-        """(R, 3) directions of the springs as they are now and (R,) how much longer they are [m]."""
+        """(R, 3) current directions of the springs, and (R,) their elongations [m]."""
         first, second = self.springs.T
         vectors = state.positions[first] - state.positions[second]
         lengths = np.linalg.norm(vectors, axis=1)
@@ -118,7 +118,7 @@ def make_springs(surface: SurfaceMesh, shear_modulus: float) -> tuple[Index, Arr
     ends, of_strut = through_springs(surface)
     springs = np.concatenate([surface.edges, ends])
     lengths = np.linalg.norm(surface.points[springs[:, 0]] - surface.points[springs[:, 1]], axis=1)
-    # c L of an edge goes with the area of its two facets, c of a strut with the area of its node
+    # c L is proportional to the area of an edge's two facets, c of a strut to the area of its node
     skin = SKIN_SHARE * of_edge / of_edge.sum()
     inside = of_strut * lengths[len(of_edge) :]
     inside *= (1.0 - SKIN_SHARE) / inside.sum()
@@ -126,10 +126,10 @@ def make_springs(surface: SurfaceMesh, shear_modulus: float) -> tuple[Index, Arr
 
 
 def through_springs(surface: SurfaceMesh) -> tuple[Index, Array]:
-    """(R, 2) struts from every node to the far side, each pair of nodes once, and the (R,) areas they stand for.
+    """(R, 2) struts from every node to the far side, each pair once, and (R,) the areas that they represent.
 
-    A strut starts along the inward normal or tilted from it, and ends at the nearest node that faces away and
-    lies within 20 degrees of that direction, else at the one nearest to that direction.
+    A strut starts along the inward normal or tilted from it. It ends at the nearest node that faces away and lies
+    within 20 degrees of that direction; without one, at the node nearest to that direction.
     """
     nodes = np.arange(surface.n_nodes)
     directions = _strut_directions(surface)
@@ -167,10 +167,10 @@ def _strut_directions(surface: SurfaceMesh) -> Array:
 
 
 def _along_longest_edges(surface: SurfaceMesh) -> Array:
-    """(N, 3) unit tangents: of each node's edges the one that is longest along the surface.
+    """(N, 3) unit tangents: the longest projection of each node's edges on its tangent plane.
 
-    A direction of the body itself, another one at every node: one taken from the axes of space would brace the body
-    in some directions more than in others, and the answer would depend on how it lies.
+    The direction belongs to the body and differs between nodes. Directions from the axes of space would brace the
+    body unevenly, and the answer would depend on its pose.
     """
     ends = np.concatenate([surface.edges, surface.edges[:, ::-1]])
     vectors = surface.points[ends[:, 1]] - surface.points[ends[:, 0]]
@@ -184,7 +184,7 @@ def _along_longest_edges(surface: SurfaceMesh) -> Array:
 
 
 def _rounded(values: Array) -> Array:
-    """Numbers of order one without their last digits: a tie on a regular mesh is the same tie wherever it lies."""
+    """Numbers of order one without their last digits: a tie on a regular mesh stays a tie in every pose."""
     rounded: Array = np.round(values, 9)
     return rounded
 

@@ -6,15 +6,16 @@ import numpy as np
 
 from solver_common.arrays import Array
 
-# of changes of length one: a smaller singular value of their products says more of the path than of the slope
+# smallest relative singular value of the changes' products, scaled to length one: smaller ones describe the path,
+# not the slope
 DEPENDENT = 1e-6
 
 
 class Anderson:
     """Mixes the last `depth` changes so that the steps they predict cancel (type II, Walker and Ni 2011).
 
-    What is kept are changes of iterate and step from one iteration to the next, scaled to a step's change of length
-    one. They say how the map slopes, so they still serve after `begin` when a neighbouring map is iterated.
+    It keeps the changes of iterate and step between iterations, scaled so that the change of step has length one.
+    They describe the slope of the map, and so stay useful after `begin` for a neighbouring map.
     """
 
     def __init__(self, depth: int) -> None:
@@ -22,7 +23,7 @@ class Anderson:
         self._count = 0
         self._last: tuple[Array, Array] | None = None
         self._steps = np.zeros((depth, 0))
-        self._sums = np.zeros((depth, 0))  # of a change of iterate and the change of step that goes with it
+        self._sums = np.zeros((depth, 0))  # change of iterate plus the change of step of the same iteration
         self._gram = np.eye(depth)
 
     def begin(self) -> None:
@@ -30,14 +31,14 @@ class Anderson:
         self._last = None
 
     def next(self, iterate: Array, step: Array) -> Array:
-        """The next iterate (n,), from the present one and the step that the plain iteration would take."""
+        """The next iterate (n,), from the current one and the step of the plain iteration."""
         if self._last is not None:
             self._keep(iterate - self._last[0], step - self._last[1])
         self._last = (iterate, step)
         kept = min(self._count, self.depth)
         if kept == 0:
             return iterate + step
-        # normal equations: a handful of unknowns, and the minimum-norm solution where the changes are dependent
+        # normal equations: few unknowns; the minimum-norm solution where the changes are dependent
         mix = np.linalg.lstsq(self._gram[:kept, :kept], self._steps[:kept] @ step, rcond=DEPENDENT)[0]
         mixed: Array = iterate + step - mix @ self._sums[:kept]
         return mixed

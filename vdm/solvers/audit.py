@@ -1,8 +1,8 @@
-"""What a linear answer is worth: what its balance lacks, and how far one more correction would move it.
+"""Audit of a linear answer: the residual of its balance, and the size of one more correction.
 
-A residual tells a solve that went wrong. In an ill-conditioned problem it can be small where the answer is not: the
-correction that the solver's own factor gives for the residual estimates the error of the answer itself (Higham,
-Accuracy and Stability of Numerical Algorithms, 2nd ed., chapter 12).
+The residual shows a failed solve. In an ill-conditioned problem it can be small although the answer is wrong. The
+correction by the solver's own factor for that residual then estimates the error of the answer (Higham, Accuracy
+and Stability of Numerical Algorithms, 2nd ed., chapter 12).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from vdm.constraints import LARGEST, Load
 from vdm.problem import LinearStep, Problem, Step
 from vdm.solution import Status
 
-# forces (N, d) that free nodes lack and what the border rows lack (m,) -> change of x (N, d) and of the border (m,)
+# forces (N, d) missing at free nodes, residual of the border rows (m,) -> change of x (N, d) and of the border (m,)
 Correction = Callable[[Array, Array], tuple[Array, Array]]
 
-RESIDUAL_LIMIT = 1e-6  # of the largest force in play: beyond it the answer is not one
-SINGLE_LIMIT = 1e-3  # the same where 32 bits were asked for: they leave 1e-4 at 10,000 nodes
-ERROR_LIMIT = 1e-3  # of the largest displacement: as good as the accuracy that any of the models has
-PATH_LIMIT = 1e-3  # of the largest displacement so far: by how much the steps on the way may move an answer
-REFINED = 1e-10  # residual or error above which a correction is worth its price
-MOST_SWEEPS = 20  # each must halve what is left: slivers of 1e6 take a dozen in single precision
+RESIDUAL_LIMIT = 1e-6  # of the largest force: beyond it the answer is rejected
+SINGLE_LIMIT = 1e-3  # the same for a factor in 32 bits, which leaves 1e-4 at 10,000 nodes
+ERROR_LIMIT = 1e-3  # of the largest displacement: the accuracy of the models themselves
+PATH_LIMIT = 1e-3  # of the largest displacement so far: largest effect of the steps on the way
+REFINED = 1e-10  # residual or error above which a correction is made
+MOST_SWEEPS = 20  # each must halve the error: slivers of 1e6 take a dozen in single precision
 NOT_FINITE = Status(
     "not-finite",
     f"the solution holds nan, inf or numbers beyond {LARGEST:.0e}",
@@ -35,17 +35,16 @@ NOT_FINITE = Status(
 
 @dataclass(frozen=True)
 class Audit:
-    """Of one step.
+    """The audit of one step.
 
     Attributes
     ----------
-    residual : what the balance or the border lacks, over the largest term of it
-    error : largest change of displacement that a correction for it makes, over the largest displacement, of the
-        body or of a node that the forces in play move alone (`Problem.own_motion`); nan where the solver has no
-        factor to correct by
-    limit : of the residual, beyond which the step is not one
-    path : displacement that is owed to the steps on the way to the load and vanishes with their size, over the
-        largest of the history so far; nan where the way does not matter
+    residual : missing force of the balance or of the border, over its largest term
+    error : largest displacement of a correction for the residual, over the largest displacement of the body, or
+        of a node that the acting forces move alone (`Problem.own_motion`); nan where the solver has no factor
+    limit : largest residual of a valid step
+    path : displacement due to the load steps on the way, which vanishes with their size, over the largest of the
+        history so far; nan where the path does not matter
     """
 
     residual: float
@@ -57,18 +56,18 @@ class Audit:
 def audit(
     problem: Problem, load: Load, step: Step, correction: Correction | None, border: bool = True
 ) -> Audit:
-    """Audit of a step of `K x - columns s = force`, `rows x + corner s = 0`, from the operator itself.
+    """Audit of a step of `K x - columns s = force`, `rows x + corner s = 0`, with the operator itself.
 
     Parameters
     ----------
-    correction : by the solver's factor, None where it has none
+    correction : by the solver's factor; None without one
     border : whether the border rows are those of the rest surface
     """
     return _audited(problem, load, step, correction, border)[0]
 
 
 def refined(problem: Problem, load: Load, step: Step, correction: Correction) -> tuple[Step, Audit]:
-    """Iterative refinement of a step that is not as good as its factor could make it; most steps are."""
+    """Iterative refinement, while it at least halves the error; most steps need none. Returns step and audit."""
     found, change = _audited(problem, load, step, correction, border=True)
     for _ in range(MOST_SWEEPS):
         worst = max(found.residual, found.error)
@@ -91,9 +90,9 @@ def refined(problem: Problem, load: Load, step: Step, correction: Correction) ->
 
 
 def judged(step: Step, found: Audit) -> Step:
-    """The step, its status told by the audit where the solver itself saw nothing wrong.
+    """The step, with the audit's status where the solver itself reported no failure.
 
-    A step that its path has moved is usable: it is converged, with a message and a remedy.
+    A step with a large path error is usable: it is converged, with a message and a remedy.
     """
     if not step.status.ok:
         return step
@@ -125,10 +124,10 @@ def _audited(
     force, pushed, internal = problem.force(load), formulation.columns.times(s), step.product
     lacking = np.where(free[:, None], force + pushed - internal, 0.0)
     sizes = [force, pushed, internal]
-    if load.prescribed is not None:  # of a body that is moved as a whole, rounding is all that is left
+    if load.prescribed is not None:  # a body moved as a whole has forces of rounding size only
         sizes.append(formulation.apply(problem.held_unknown(load)))
     residual = _share(np.abs(lacking).max(), max(np.abs(a).max() for a in sizes))
-    # where the forces cancel, under a pressure from all sides, x is their rounding and no measure of it
+    # where forces cancel, as under a pressure from all sides, x is rounding and no scale
     own = problem.own_motion(np.maximum(np.abs(force), np.abs(pushed)))
     open_rows = np.zeros_like(s)
     if border:

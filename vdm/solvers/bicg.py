@@ -15,7 +15,7 @@ from vdm.solution import CONVERGED, Status
 from vdm.solvers.audit import Audit, audit
 
 TOLERANCE = 1e-10
-# an audit measures forces node by node, a tolerance the whole: where one is asked for, a node may lack so much more
+# an audit measures forces node by node, a tolerance their norm: the audit's limit is larger by this factor
 _NODE_BY_NODE = 100.0
 
 NOT_CONVERGED = Status(
@@ -26,11 +26,11 @@ NOT_CONVERGED = Status(
 
 
 class BicgSolver:
-    """Solves the state matrix with held nodes eliminated, its rows and unknowns scaled, without factors.
+    """Solves the scaled state matrix with held nodes eliminated, without factors.
 
-    Figure 8 itself is `vdm.solvers.figure_8`. What a warm start is worth, at 10,242 nodes and a load that grows
-    by a twentieth a step: 199 iterations on average against 217 from zero, 195 from the exact last solution. A
-    residual that starts at a twentieth saves the iterations of its one digit and no more.
+    Figure 8 itself is `vdm.solvers.figure_8`. Measured gain of a warm start, at 10,242 nodes and a load that
+    grows by a twentieth a step: 199 iterations on average against 217 from zero, and 195 from the exact last
+    solution. A residual that starts at a twentieth saves the iterations of one digit only.
 
     Parameters
     ----------
@@ -76,12 +76,12 @@ class BicgSolver:
         )
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step and what its balance lacks; without a factor of the whole there is no estimate of the error."""
+        """The step and its residual; without a factor of the whole matrix there is no error estimate."""
         found = audit(self.problem, load, step, None)
         return step, replace(found, limit=max(found.limit, _NODE_BY_NODE * self.tolerance))
 
     def _iterate(self, b: Array, guess: Array | None) -> tuple[Array, int, bool]:
-        """Restarted until the true residual is small: the recursive one of BiCG drifts away from it."""
+        """Restart until the true residual is small: BiCG's recursive residual drifts away from it."""
         count = 0
 
         def counted(_: Array) -> None:
@@ -106,9 +106,9 @@ class BicgSolver:
 
 
 def _units(matrix: sparse.csr_array, n_border: int) -> tuple[Array, Array]:
-    """(n,) scales of rows and unknowns of a state matrix: then its diagonal is one, its border of length one.
+    """(n,) scales of rows and of unknowns that give a state matrix a unit diagonal and a border of length one.
 
-    As printed, rows in Pa stand beside one in m^3: the units chosen would decide how fast BiCG is.
+    As printed, rows in Pa stand beside one in m^3: the choice of units would decide how fast BiCG converges.
     """
     m = n_border
     unit = 1.0 / np.sqrt(np.abs(matrix.diagonal()[:-m]))

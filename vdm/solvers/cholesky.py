@@ -1,4 +1,4 @@
-"""The sparse Cholesky factor, in one place."""
+"""The sparse Cholesky factor."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ CONFIG_LENGTH, CONFIG_PRINTF = 7, 4
 
 
 def _silence_cholmod() -> None:
-    """Let CHOLMOD say nothing on the console when a matrix is not positive definite: `SolverError` says it.
+    """Silence CHOLMOD's console message about a matrix that is not positive definite: `SolverError` reports it.
 
-    By its own switch, a null printf. Where a build of cholespy does not show it, or shows another layout, nothing
-    is touched and the warning stays.
+    It sets CHOLMOD's own switch, a null printf. A build of cholespy that hides it or has another layout is left
+    alone, and the message stays.
     """
     try:
         library = ctypes.CDLL(_cholespy_core.__file__)
@@ -56,11 +56,11 @@ class Cholesky:
         matrix.sort_indices()
         indptr, indices = (a.astype(np.int32, copy=False) for a in (matrix.indptr, matrix.indices))
         try:
-            # the rows of a symmetric matrix are its columns: as rows the library would turn them first
+            # a symmetric matrix's rows serve as its columns: given rows, the library would transpose them first
             self._factor = CholeskySolverD(self.size, indptr, indices, matrix.data, MatrixType.CSC)
         except ValueError as error:
             raise SolverError(SINGULAR) from error
-        # a singular matrix can pass with pivots of rounding size: a random load then moves without bound
+        # a singular matrix can pass with pivots of rounding size: a random load then causes huge displacements
         probe = np.random.default_rng(0).standard_normal(self.size)
         growth = np.linalg.norm(self.solve(probe)) / np.linalg.norm(probe)
         if not growth * np.abs(matrix.data).max() < CONDITION_LIMIT:

@@ -1,6 +1,6 @@
-"""Local contact (Fig. 5), a small dense product per frame.
+"""Local contact (Fig. 5) as one small dense product per frame.
 
-The answers of a surface to unit pressures on the nodes of a contact at rest are computed once.
+The responses to unit pressures on the nodes of a contact at rest are computed once.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from vdm.constraints import ConstraintError, Load
 from vdm.formulations.base import LEFT_OUT
 from vdm.solvers.linear import LinearSolver
 
-# right-hand sides per pass through the factor: wider blocks no longer gain and cost memory
+# right-hand sides per pass through the factor: wider blocks gain nothing and cost memory
 BATCH = 32
-# radii of the contact from its middle, beyond which the columns of its nodes may be taken to look alike
+# distances from the contact's middle, in its radii, from which its columns may be treated as similar
 REACHES = np.arange(2.0, 9.0)
 
 
 @dataclass(frozen=True)
 class _Shortened:
-    """Columns (d N + 1, k), but for some rows (m,), as a basis (N, r) times a mix (r, k) for each of d components.
+    """Columns (d N + 1, k) as a basis (N, r) times a mix (r, k) per component, except for some rows (m,).
 
-    A component needs half as many directions as all of them together. The rows are kept as block (m, k), the mixes
-    are one matrix (sum of r, k).
+    Separate bases need half as many directions as a common one. The rows are stored as block (m, k), the mixes as
+    one matrix (sum of r, k).
     """
 
     bases: tuple[Array, ...]
@@ -36,7 +36,7 @@ class _Shortened:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that an answer reads."""
+        """Bytes that a product reads."""
         return sum(basis.nbytes for basis in self.bases) + self.mixes.nbytes + self.block.nbytes
 
     def answer(self, pressure: Array) -> Array:
@@ -54,19 +54,19 @@ class _Shortened:
 
 
 class ContactColumns:
-    """Answers to pressures on the nodes of a contact that rests, whatever model its columns come from.
+    """Responses to pressures on the nodes of a contact at rest, for columns of any model.
 
-    A frame is a dense product with the columns: d N + 1 values for each contact node, in single precision, which
-    halves the memory that a frame reads. At the second frame the columns are shortened: far from the contact they
-    look alike, and fewer directions than nodes span them. Both together err by less than 1e-6 of the
-    largest displacement that pressures of the same size can cause, or by `left_out` where that is more.
+    A frame is a dense product with the columns: d N + 1 values per contact node. Single precision halves the
+    memory that it reads. At the second frame the columns are shortened: far from the contact they are similar,
+    and fewer directions than nodes span them. The total error is below 1e-6 of the largest displacement under
+    pressures of the same size, or below `left_out` where that is more.
 
     Parameters
     ----------
-    columns : (d N + 1, k) answers to unit pressures, one component of all nodes after the other, then a pressure
+    columns : (d N + 1, k) responses to unit pressures: all nodes for one component after the other, then a pressure
     points : (N, 3) of the surface
     nodes : (k,) of the contact
-    left_out : largest error of the shortened columns, of the largest answer to pressures of the same size
+    left_out : largest error of the shortened columns, over the largest response to pressures of the same size
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class ContactColumns:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of what the next frame reads."""
+        """Bytes that the next frame reads."""
         return self.columns.nbytes if self._short is None else self._short.nbytes
 
     def frame(self, pressure: Array) -> tuple[Array, float]:
@@ -93,10 +93,9 @@ class ContactColumns:
         return answer[:-1].reshape(-1, len(self._points)).T, float(answer[-1])
 
     def _shortened(self) -> _Shortened | None:
-        """The columns with a shorter basis for all nodes far from the contact, None where a frame reads no less.
+        """The columns with a shorter basis for the nodes far from the contact; None where that saves no memory.
 
-        The nearer far begins, the fewer rows stay whole, and the more directions the others have: the reach with
-        the fewest bytes is taken.
+        A smaller reach leaves fewer rows whole but needs more directions; the reach with the fewest bytes is taken.
         """
         columns, (n, k) = self.columns, (len(self._points), self.columns.shape[1])
         contact = self._points[self._nodes]
@@ -108,7 +107,7 @@ class ContactColumns:
             [[p[rings == ring].T @ p[rings == ring] for p in parts] for ring in range(len(REACHES) + 1)]
         )
         bound = self._left_out * np.sqrt(np.linalg.eigvalsh(squares.sum(axis=(0, 1)))[-1])
-        # of all beyond each reach
+        # products of the nodes beyond each reach
         beyond = np.cumsum(squares[:0:-1], axis=0)[::-1]
         values, directions = np.linalg.eigh(beyond)
         kept = np.sqrt(np.cumsum(np.maximum(values, 0.0), axis=-1)) > bound
@@ -123,17 +122,17 @@ class ContactColumns:
             for c, part in enumerate(parts)
         ]
         mix = np.concatenate([directions[best, c][:, kept[best, c]].T for c in range(len(parts))])
-        # dP, in the last row, is not a displacement and is kept as it is
+        # dP, in the last row, is not a displacement and stays whole
         rows = np.append(np.flatnonzero(np.tile(~far, len(parts))), len(columns) - 1)
         short = _Shortened(tuple(bases), mix.astype(columns.dtype), rows, np.asfortranarray(columns[rows]))
         return short if short.nbytes < columns.nbytes else None
 
 
 def contact_columns(solver: LinearSolver, nodes: Index, push: Array | None = None) -> ContactColumns:
-    """What unit contact pressures at nodes (k,) do, by a linear solver's factor: the d components of x, then dP.
+    """Responses to unit contact pressures at nodes (k,), by a linear solver's factor: d components of x, then dP.
 
-    A frame is `ContactColumns.frame`, all displacements included; nothing else of the model is touched. There is no
-    gravity, and constrained nodes stay where they are.
+    `ContactColumns.frame` then gives all displacements without the rest of the model. There is no gravity, and
+    constrained nodes stay in place.
 
     Parameters
     ----------
@@ -147,7 +146,7 @@ def contact_columns(solver: LinearSolver, nodes: Index, push: Array | None = Non
     problem, factor = solver.problem, solver.factor
     formulation = problem.formulation
     n, d = formulation.surface.n_nodes, formulation.components
-    nodes = np.array(nodes, dtype=np.int64)  # the caller may change its own
+    nodes = np.array(nodes, dtype=np.int64)  # a copy: the caller may change its own
     if nodes.size and (nodes.min() < 0 or nodes.max() >= n):
         raise ConstraintError(f"contact nodes must lie in 0..{n - 1}")
     columns = np.empty((n * d + 1, len(nodes)), dtype=np.float32, order="F")

@@ -1,4 +1,4 @@
-"""How well conditioned a problem is: condition numbers in the 1-norm, estimated from a few solves."""
+"""Condition numbers of a problem in the 1-norm, estimated from a few solves."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class Condition:
 
 
 def condition_of_operator(problem: Problem, factor: BorderedFactor | None = None) -> Condition:
-    """Of the symmetric operator, each node and each border unknown in a unit of its own.
+    """Condition of the symmetric operator, with each node and each border unknown in its own unit.
 
-    The block is scaled to a unit diagonal, which is nearly the best that a diagonal can do (van der Sluis, Numer.
-    Math. 14 (1969) 14), and a Cholesky factor does not see it; border columns and rows are scaled by what they
-    move. Costs about a dozen solves, and the factor where none is given.
+    The block is scaled to a unit diagonal, which is nearly the best diagonal scaling (van der Sluis, Numer. Math.
+    14 (1969) 14) and does not affect a Cholesky factor. Border columns and rows are scaled by the displacements
+    that they cause. The cost is about a dozen solves, and the factor where none is given.
 
-    An operator without a matrix, the skin of a coarse body, has its norm estimated too, from as many products.
+    For an operator without a matrix, as of a coarse body, the norm is estimated too, from as many products.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def condition_of_operator(problem: Problem, factor: BorderedFactor | None = None
 
 
 def condition_of_matrix(matrix: sparse.csr_array, n_border: int) -> Condition:
-    """Of a state matrix with its last rows and columns the border, as it is: pressures beside displacements."""
+    """Condition of a state matrix, unscaled; the border is its last rows and columns."""
     return Condition(
         block=_condition(matrix[:-n_border][:, :-n_border]),
         system=_condition(matrix),
@@ -90,7 +90,7 @@ def condition_of_matrix(matrix: sparse.csr_array, n_border: int) -> Condition:
 
 
 def _scaled_block(formulation: Formulation, inside: Mask, unit: Array) -> Matrix:
-    """K of the unknowns `inside`, each in its unit."""
+    """K over the unknowns `inside`, each in its unit."""
     if formulation.has_matrix:
         scaling = sparse.diags_array(unit)
         return sparse.csc_array(scaling @ formulation.stiffness()[inside][:, inside] @ scaling)

@@ -1,4 +1,4 @@
-"""Figure 8 as printed: K rebuilt at each time-step from the moved surface, BiCG from the last solution."""
+"""Figure 8 as printed: K rebuilt at each time-step on the moved surface, BiCG from the last solution."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ class Figure8Step(DeformedStep):
 
 
 class Figure8Solver:
-    """One time-step is one solve of K dL = R (22), K and R of the surface as the last step left it.
+    """One time-step is one solve of K dL = R (22), with K and R of the surface after the last step.
 
     dL is the whole displacement along the normals at rest, as in the other solvers. Rows and unknowns are scaled,
-    so that units do not count, and held nodes are eliminated; an answer depends on the steps that led to its load.
-    The figure prints its rule without the outer bars: the first iterate that shrinks would end it.
+    so that units do not matter, and held nodes are eliminated. An answer depends on the steps on the way to its
+    load. The figure prints its rule without the outer bars; the first iterate that shrinks would then end it.
 
     Parameters
     ----------
-    problem : of the printed form, and its supports
-    stop : the rule by which an iteration ends, dL^i the i-th iterate and eps the tolerance.
-        "printed": | |dL^(i+1)| - |dL^i| | <= eps |dL^(i+1)|, which says nothing of where an iterate points to.
+    problem : the printed form and its supports
+    stop : the rule that ends an iteration; dL^i is the i-th iterate and eps the tolerance.
+        "printed": | |dL^(i+1)| - |dL^i| | <= eps |dL^(i+1)|, which ignores an iterate's direction.
         "intended": |dL^(i+1) - dL^i| <= eps |dL^(i+1)|.
-        "residual": |R - K dL^i| <= eps |R|, of the true residual (38).
-    volume_row : "printed": the sum of A_i (L_i - L_i,last) + L_i,last dA_i is zero (33), dA_i what the last step
-        changed A_i by. "corrected": the gradient of the volume, which closes what the last step left open.
+        "residual": |R - K dL^i| <= eps |R|, with the true residual (38).
+    volume_row : "printed": the sum of A_i (L_i - L_i,last) + L_i,last dA_i is zero (33), with dA_i the change of
+        A_i in the last step. "corrected": the gradient of the volume, which closes the last step's volume error.
     tolerance : eps
     """
 
@@ -75,9 +75,9 @@ class Figure8Solver:
         self.reach = FURTHEST * float(np.ptp(problem.body.rest, axis=0).max())
 
     def system(self, load: Load, previous: Step | None = None) -> tuple[sparse.csr_array, Array]:
-        """K (N + 1, N + 1) and R (N + 1,) of (22) for L_1..L_N [m] and dP [Pa], rows in Pa and one in m^3.
+        """K (N + 1, N + 1) and R (N + 1,) of (22) for L_1..L_N [m] and dP [Pa]; rows in Pa, the last in m^3.
 
-        Held nodes are in it as if they were free.
+        Held nodes are included as if free.
         """
         problem, form = self.problem, self.formulation
         last = np.zeros((len(self.rest_areas), 1)) if previous is None else previous.unknown
@@ -143,7 +143,7 @@ class Figure8Solver:
         )
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:  # noqa: ARG002 - one interface for all solvers
-        """The step and the residual of its own K; of a stop without a residual a remark where one is left."""
+        """The step and the residual of its own K; a remark where a stop without a residual leaves a large one."""
         assert isinstance(step, Figure8Step)
         if self.stop == "residual" or not step.status.ok:
             return step, Audit(step.residual, limit=max(RESIDUAL_LIMIT, 2.0 * self.tolerance))

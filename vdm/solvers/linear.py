@@ -20,24 +20,24 @@ from vdm.solvers.single import SingleFactor
 
 Precision = Literal["single", "double"]
 
-# smallest singular value of the scaled border system that is told from rounding
+# smallest singular value of the scaled border system, below which it counts as singular
 BORDER_TOLERANCE = 1e-11
-# the same of a factor in single precision, whose own solves cannot tell that they are wrong: of a singular border
-# rounding leaves 2e-6 at 2,500 nodes, and that grows as their root
+# the same for a factor in single precision, which cannot detect its own errors: of a singular border rounding
+# leaves 2e-6 at 2,500 nodes, growing as their root
 SINGLE_BORDER_TOLERANCE = 5e-5
 
 
 class BorderedFactor:
     """`[K -G; R^T D]` over the free nodes: K factored once, the m border unknowns by an m x m system.
 
-    `x = K^-1 f + Y s` with Y = K^-1 G, and `(R^T Y + D) s = r - R^T K^-1 f`. Of R only the volume row is kept: the
-    other rows, where a formulation has them, are its columns, K is symmetric, and R^T K^-1 f = Y^T f.
+    `x = K^-1 f + Y s` with Y = K^-1 G, and `(R^T Y + D) s = r - R^T K^-1 f`. Only the volume row of R is stored.
+    Any other rows equal their columns and K is symmetric, so that R^T K^-1 f = Y^T f.
     """
 
     def __init__(self, problem: Problem, factorise: Factorise = Cholesky) -> None:
         formulation = problem.formulation
         self.free = problem.free
-        # a mask of unknowns picks and places three times as fast as the numbers of nodes do
+        # a mask of unknowns selects and assigns three times as fast as node numbers
         self.unknowns = np.repeat(self.free, formulation.components)
         self.n_border = formulation.columns.count
         self.block = formulation.factor(self.free, factorise)
@@ -57,24 +57,24 @@ class BorderedFactor:
             check_border(self.schur, self.corner)
 
     def solve_updated(self, force: Array, target: Array, row: Array) -> tuple[Array, Array]:
-        """The same with another volume row (n_free d,); K is not factored again, nor solved with the columns."""
+        """The same with another volume row (n_free d,), without factoring K or solving for the columns again."""
         schur = self.schur.copy()
         schur[0] = self.response.dotted(row) + self.corner[0]
         return self._solve(force, target, row, schur)[:2]
 
     def solve(self, force: Array, target: Array) -> tuple[Array, Array]:
-        """Free unknowns (n_free d,) and border unknowns (m,) of a force (n_free d,) and border values (m,).
+        """Free unknowns (n_free d,) and border unknowns (m,) under a force (n_free d,) and border values (m,).
 
-        With k forces at once: (n_free d, k) and (m, k).
+        For k forces at once: (n_free d, k) and (m, k).
         """
         return self._solve(force, target, self.volume_row, self.schur)[:2]
 
     def solve_with_held(self, force: Array, target: Array) -> tuple[Array, Array, HeldForce | None]:
-        """The same, and what tells K x at the held nodes at rest where the block's factor knows it, else None."""
+        """The same, and a function for K x at the held nodes where the block's factor knows it, else None."""
         return self._solve(force, target, self.volume_row, self.schur)
 
     def correction(self, lacking: Array, open_rows: Array) -> tuple[Array, Array]:
-        """Change of x (N, d) and border (m,) that supplies forces (N, d) at free nodes and border values (m,)."""
+        """Change of x (N, d) and border (m,) for missing forces (N, d) at free nodes and border values (m,)."""
         change = np.zeros_like(lacking)
         moved, border = self.solve(lacking.reshape(-1)[self.unknowns], open_rows)
         change.reshape(-1)[self.unknowns] = moved
@@ -89,7 +89,7 @@ class BorderedFactor:
         else:
             first, inside = self._reacting.solve_with_inside(force)
         met = self.response.dotted(force)
-        met[0] = row @ first  # the volume is kept to rounding, however ill-conditioned K is
+        met[0] = row @ first  # keeps the volume to rounding, however ill-conditioned K is
         border = np.asarray(np.linalg.solve(schur, target - met), dtype=np.float64)
         first += self.response.times(border).reshape(first.shape)
         if self._reacting is None or inside is None:
@@ -101,14 +101,14 @@ class BorderedFactor:
 def check_border(
     schur: Array, corner: Array, tolerance: float = BORDER_TOLERANCE, status: Status = SINGULAR
 ) -> None:
-    """Refuses a border system `schur` (m, m), of which `corner` does not come from the block, that is singular.
+    """Refuse a singular border system `schur` (m, m), of which `corner` (m, m) does not come from the block.
 
     Raises
     ------
     SolverError
-        with the status given.
+        with the given status.
     """
-    # each border unknown in its own unit: what is left of it is compared with what went into it
+    # each border unknown in its own unit: the sum is compared with its two terms
     size = np.sqrt(np.maximum(np.abs(corner).diagonal(), np.abs(schur - corner).diagonal()))
     scaled = schur / np.outer(size, size)
     if not np.isfinite(scaled).all() or np.linalg.svd(scaled, compute_uv=False)[-1] < tolerance:
@@ -116,13 +116,13 @@ def check_border(
 
 
 class LinearSolver:
-    """Fixed and constrained nodes eliminated exactly, also from the volume row.
+    """Eliminates fixed and constrained nodes exactly, in the volume row too.
 
     Parameters
     ----------
     problem : formulation and supports
     precision : of the factor of K; the border is in double precision always
-    refine : in the audit of a history, by residuals in double precision, where they show that it pays
+    refine : whether the audit of a history refines by residuals in double precision, where they show a gain
     factor : of the problem, where there is one
 
     Raises
@@ -144,7 +144,7 @@ class LinearSolver:
         self.factor = factor or BorderedFactor(problem, SingleFactor if precision == "single" else Cholesky)
 
     def step(self, load: Load, previous: Step | None = None) -> Step:  # noqa: ARG002 - one interface for all solvers
-        """Solution of one load; the previous step does not matter."""
+        """Solution of one load; the previous step has no effect."""
         problem, factor = self.problem, self.factor
         force = problem.force(load)
         x = problem.held_unknown(load)
@@ -162,7 +162,7 @@ class LinearSolver:
         return LinearStep(problem=problem, unknown=x, border=border, force=force, held_force=held)
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step, refined where that pays, and what it is worth."""
+        """The step, refined where that pays, and its audit."""
         if self.refine:
             return refined(self.problem, load, step, self.factor.correction)
         found = audit(self.problem, load, step, self.factor.correction)

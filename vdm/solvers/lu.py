@@ -1,4 +1,4 @@
-"""The paper's own linear solver (equations 22, 25, 26, 29-32): LU of the whole state matrix, penalty included."""
+"""The paper's linear solver (equations 22, 25, 26, 29-32): LU of the whole state matrix, penalty included."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class LuSolver:
     Parameters
     ----------
     problem : formulation and supports
-    method : "elimination"; "penalty-added", alpha added to K_ii as the text has it; "penalty-replaced",
-        K_ii = alpha as equations 25 and 26 have it. Both leave an error of the order of dP / alpha; a step in
-        which a held node moves by more than `HELD_SLIP` of the largest displacement says "inaccurate".
+    method : "elimination"; "penalty-added", alpha added to K_ii as in the text; "penalty-replaced", K_ii = alpha
+        as in equations 25 and 26. Both penalties leave an error of the order of dP / alpha. A step with a held
+        node that moves by more than `HELD_SLIP` of the largest displacement has the status "inaccurate".
     penalty : alpha as a multiple of the largest diagonal entry of K
 
     Raises
@@ -97,7 +97,7 @@ class LuSolver:
         return step
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step and what it is worth: of a penalty, at the nodes that it leaves free."""
+        """The step and its audit; with a penalty at the nodes that it leaves free."""
         return step, audit(self.problem, load, step, self._correction)
 
     def _correction(self, lacking: Array, open_rows: Array) -> tuple[Array, Array]:

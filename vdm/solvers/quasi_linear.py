@@ -1,4 +1,4 @@
-"""Quasi-linear analysis (equations 33-37): the block stays, only the volume row follows the surface."""
+"""Quasi-linear analysis (equations 33-37): the block is constant, only the volume row follows the surface."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ VOLUME_ROWS: tuple[VolumeRow, ...] = get_args(VolumeRow)
 
 
 class QuasiLinearSolver:
-    """One load step is one solve with the volume row of the surface as the last step left it.
+    """One load step is one solve with the volume row of the surface after the last step.
 
     The block K is factored once; a new row only changes the m x m border system. In exact arithmetic this is the
     Sherman-Morrison update (`sherman_morrison`) without its dense inverse.
 
-    An answer depends on the steps that led to its load, by the volume that the last one left open: the shift along
-    the response to pressure that closes it is what smaller steps would change, and the audit reports its size.
+    An answer depends on the steps on the way to its load, through the volume error of the last one. A shift along
+    the response to pressure closes that error. It is what smaller steps would change, and the audit reports its
+    size.
 
     Parameters
     ----------
     problem : formulation and supports
-    volume_row : "corrected": the gradient of the volume that the formulation keeps, and the step closes what the
-        last one left: `row . (x - x_last) = -(V_last - V0)`, a drift of second order in the increment. "printed"
-        (equation 33 with its total displacement): `sum A_i L_i = 0` with the updated A_i, a drift of second order
-        in the displacement itself, however small the steps.
+    volume_row : "corrected": the gradient of the formulation's volume. The step closes the last one's volume
+        error, `row . (x - x_last) = -(V_last - V0)`, and drifts by second order in the increment. "printed"
+        (equation 33 with its total displacement): `sum A_i L_i = 0` with the updated A_i. It drifts by second
+        order in the displacement itself, however small the steps.
     """
 
     def __init__(self, problem: Problem, volume_row: VolumeRow = "corrected") -> None:
@@ -43,7 +44,7 @@ class QuasiLinearSolver:
         self._largest = 0.0  # displacement of the history so far
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
-        """Solution of one load; the previous step says which surface the volume row is taken on."""
+        """Solution of one load, with the volume row of the previous step's surface."""
         problem, factor, formulation = self.problem, self.factor, self.problem.formulation
         free = factor.free
         if previous is None:
@@ -68,9 +69,10 @@ class QuasiLinearSolver:
         return LinearStep(problem=problem, unknown=x, border=border, force=force)
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step and what its balance and its path are worth.
+        """The step with its audit and path error.
 
-        The volume row is that of a surface that the step has left. The printed row's drift is no matter of steps.
+        The volume row belongs to an earlier surface and is not audited. The printed row's drift does not depend
+        on the steps: it has no path error.
         """
         found = audit(self.problem, load, step, self.factor.correction, border=False)
         if self.volume_row == "printed" or not np.isfinite(step.unknown).all():
@@ -78,10 +80,10 @@ class QuasiLinearSolver:
         return step, replace(found, path=self._path_error(load, step))
 
     def _path_error(self, load: Load, step: Step) -> float:
-        """The shift that closes the volume, over the largest displacement: all that a path can change.
+        """The shift that closes the volume, over the largest displacement: the whole effect of the path.
 
-        Under one load the free unknowns are `K^-1 f + Y s` with the border s alone to be found, and its other rows
-        hold exactly: the volume decides, whatever the way.
+        Under one load the free unknowns are `K^-1 f + Y s`. The other border rows hold exactly, so that the
+        volume alone determines s, on any path.
         """
         factor, formulation = self.factor, self.problem.formulation
         state = self.problem.deformed(step.unknown)
@@ -93,7 +95,7 @@ class QuasiLinearSolver:
         shift[factor.free] = change.reshape(-1, shift.shape[1])
         self._largest = max(self._largest, float(np.abs(step.displacement).max()))
         moved = float(np.abs(formulation.displacement(shift)).max())
-        # under a pressure from all sides, whose forces cancel, the displacement is rounding
+        # under a pressure from all sides forces cancel, and the displacement is rounding
         acting = np.maximum(np.abs(self.problem.force(load)), np.abs(formulation.columns.times(step.border)))
         own = formulation.displacement(self.problem.own_motion(acting))
         largest = max(self._largest, float(np.abs(own).max()))
@@ -104,8 +106,8 @@ def sherman_morrison(inverse: Array, change_of_row: Array) -> Array:
     """Inverse of K + u v^T, u = e_n: the last row of K changed by v (n,) (equations 34-37).
 
     `K^-1 - (z w^T) / (1 + lambda)`, z = K^-1 u, w = K^-T v, lambda = v . z. The paper prints a plus sign and a
-    vector in the denominator; neither inverts K + u v^T. Dense, O(n^2) a step: what `QuasiLinearSolver`
-    is compared with.
+    vector in the denominator; neither inverts K + u v^T. Dense, O(n^2) a step: a reference for
+    `QuasiLinearSolver`.
 
     Raises
     ------

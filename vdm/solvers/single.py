@@ -1,4 +1,4 @@
-"""A sparse factor in single precision: half the digits, to be seen in the answer or taken out by refinement."""
+"""A sparse factor in single precision; refinement can remove the loss of digits."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ SINGULAR = Status(
 class SingleFactor:
     """Factor of a symmetric positive definite sparse matrix (n, n), made and applied in 32 bits.
 
-    By SuperLU: cholespy's factor for 32 bits is computed and applied in 64 and only rounds what goes in and out.
-    The pivots stay on the diagonal. The matrix is scaled to a unit diagonal, so that no modulus is out of range.
-    What an ill-conditioned matrix leaves of the digits, the audit of a step tells: `vdm.solvers.audit`.
+    It is SuperLU's: cholespy's 32-bit factor is computed and applied in 64 bits, and rounds only input and
+    output. Pivots stay on the diagonal. The matrix is scaled to a unit diagonal, so that no modulus is out of
+    range. The audit of a step (`vdm.solvers.audit`) shows how many digits an ill-conditioned matrix leaves.
 
     Raises
     ------
@@ -50,10 +50,10 @@ class SingleFactor:
             raise SolverError(SINGULAR)
 
     def solve(self, right_hand_side: Array) -> Array:
-        """Solution of (n,) or (n, m) right-hand sides, to seven digits less those that the condition costs."""
+        """Solution of (n,) or (n, m) right-hand sides, to seven digits less the loss by the condition."""
         scale = self._scale if right_hand_side.ndim == 1 else self._scale[:, None]
         b = scale * right_hand_side
-        # by the largest entry: neither a force of a micronewton nor its square falls below the smallest number
+        # scaled by the largest entry: neither a force of a micronewton nor its square underflows
         largest = float(np.abs(b).max(initial=0.0)) or 1.0
         x = self._factors.solve(np.asarray(b / largest, dtype=np.float32))
         return np.asarray(scale * x.astype(np.float64) * largest)
