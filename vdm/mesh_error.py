@@ -34,18 +34,6 @@ from vdm.surface import SurfaceError, rigid_basis
 _Coarse = tuple[LinearSolver, float]
 
 
-def coarse_solver(problem: Problem, make: type[SparseFormulation], *given: Any) -> LinearSolver | None:
-    """Solver of the problem on a coarser form, which `make` builds from what is `given`.
-
-    None where the mesh is hardly more than its supports, or where no coarse mesh bounds a body: a cavity near the
-    surface sticks out of it.
-    """
-    try:
-        return LinearSolver(replace(problem, formulation=make(*given)))
-    except (SolverError, SurfaceError, np.linalg.LinAlgError):
-        return None
-
-
 class MeshError:
     """Estimates for all loads of one set-up, from the problem of a `BoundaryFormulation` and its factor at rest."""
 
@@ -74,11 +62,16 @@ class MeshError:
         return self._on(HalfFormulation, form.surface, form.parameters, self._problem.support.held)
 
     def _on(self, make: type[SparseFormulation], *given: Any) -> _Coarse | None:
-        """The problem's solver on a coarser form, and n_h / n_H - 1 of their nodes; None where there is none."""
+        """The problem's solver on a coarser form, which `make` builds from what is `given`, and n_h / n_H - 1.
+
+        None where the mesh is hardly more than its supports, or where no coarse mesh bounds a body: a cavity near
+        the surface sticks out of it.
+        """
         form = self._problem.formulation
         assert isinstance(form, BoundaryFormulation)
-        solver = coarse_solver(self._problem, make, *given)
-        if solver is None:
+        try:
+            solver = LinearSolver(replace(self._problem, formulation=make(*given)))
+        except (SolverError, SurfaceError, np.linalg.LinAlgError):
             return None
         coarse = solver.problem.formulation
         assert isinstance(coarse, SparseFormulation)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_equal
+from scipy import sparse
 
 from solver_common.closed_surfaces import solid_angles
 from tests.vdm.vdm_shapes import box, icosphere
@@ -15,6 +16,7 @@ from vdm.boundary.operators import surface_stiffness
 from vdm.parts.body import Parts
 from vdm.parts.caps import CutError, cap
 from vdm.parts.cut import cut, volume
+from vdm.parts.guess import guessed
 from vdm.parts.joined import JoinedFormulation
 from vdm.parts.solve import PartsSolver
 from vdm.parts.unloaded import Unloaded, Unloading
@@ -300,10 +302,38 @@ def test_a_compressible_body_hangs_from_its_weight_as_the_linear_form_says() -> 
 
 
 def test_no_matrix_of_the_whole_is_made_of_a_body_in_parts() -> None:
-    """Not for the weight of a compressible one either, whose force asks for the stiffness."""
-    model = clamped(BAR, poisson_ratio=0.45, density=1e3, gravity=(0.0, 0.0, -1.0))
-    assert model.solve([Load(np.zeros(len(BAR[0])))]).scalars["parts"][0] > 1
-    assert "matrix" not in vars(model.formulation)
+    """Not for the weight of a compressible one either, whose force asks for the stiffness; nor on springs."""
+    points, triangles = BAR
+    at_end = np.repeat(np.where(points[:, 0] < 1e-9, 100.0, 0.0), 3)
+    ground = sparse.csr_array(sparse.diags_array(at_end))
+    parameters = Parameters(shear_modulus=E / 2.9, poisson_ratio=0.45, ground=ground)
+    given = {"formulation": "bem", "solver": "nonlinear", "density": 1e3, "gravity": (0.0, 0.0, -1.0)}
+    held = clamped(BAR, poisson_ratio=0.45, density=1e3, gravity=(0.0, 0.0, -1.0))
+    for model in (held, Model(points, triangles, parameters, **given)):
+        assert model.solve([Load(np.zeros(len(points)))]).scalars["parts"][0] > 1
+        assert "matrix" not in vars(model.formulation)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.3, 0.5])
+def test_a_guess_bends_a_beam_as_its_theory_does(ratio: float) -> None:
+    points, tip = BAR[0], BAR[0][:, 0] > BAR[0][:, 0].max() - 1e-9
+    force = np.array([0.0, 0.0, -1e-3])
+    found = guessed(clamped(BAR, poisson_ratio=ratio).problem, at_tip(points, force))[tip].mean(axis=0)
+    assert_allclose(found[2], force[2] * LENGTH**3 / (3.0 * E * SIDE**4 / 12.0), rtol=0.06)
+    weight = {"density": 1e3, "gravity": (0.0, 0.0, -1.0)}
+    heavy = clamped(BAR, poisson_ratio=ratio, **weight).problem
+    found = guessed(heavy, Load(np.zeros(len(points))))[tip].mean(axis=0)
+    assert_allclose(found[2], -1e3 * SIDE**2 * LENGTH**4 / (8.0 * E * SIDE**4 / 12.0), rtol=0.06)
+
+
+def test_a_guess_rests_on_its_springs() -> None:
+    points, triangles = CUBE
+    surface = SurfaceMesh(points, triangles)
+    ground = sparse.csr_array(sparse.diags_array(np.repeat(1e3 * surface.nodal_areas, 3)))
+    parameters = Parameters(shear_modulus=1e6, poisson_ratio=0.3, ground=ground)
+    given = {"formulation": "bem", "solver": "nonlinear", "density": 1e3, "gravity": (0.0, 0.0, -1.0)}
+    found = guessed(Model(points, triangles, parameters, **given).problem, Load(np.zeros(len(points))))
+    assert_allclose(found.mean(axis=0), [0.0, 0.0, -surface.volume / surface.area], rtol=1e-6, atol=1e-15)
 
 
 @pytest.mark.parametrize("parts", [None, 1])

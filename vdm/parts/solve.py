@@ -12,11 +12,10 @@ import numpy as np
 from solver_common.arrays import Array, Index
 from vdm.constraints import Load
 from vdm.material import MOST_PARTS
-from vdm.mesh_error import coarse_solver
 from vdm.parts.body import LARGEST_STRAIN, Parts, parts_wanted, pieces_of
 from vdm.parts.cut import Cut
+from vdm.parts.guess import guessed
 from vdm.peers.bem import BoundaryFormulation
-from vdm.peers.bem_sparse import RoughFormulation
 from vdm.problem import Problem, Step
 from vdm.reservations import LIMIT
 from vdm.solution import Solution, SolverError
@@ -73,8 +72,8 @@ class PartsSolver:
     def prepare(self, loads: Sequence[Load], compared: bool = True, count: int = 0) -> float:
         """Cut the body into `count` parts, or if 0 as its loads need; the seconds that this took.
 
-        A guess, by a coarse body, saves the whole one where it is not needed; a linear answer of the parts
-        themselves decides. Unless answers are `compared`, none has twice the parts.
+        A guess, which `bem-sparse` does without, saves the whole body where it is not needed; a linear answer of
+        the parts themselves decides. Unless answers are `compared`, none has twice the parts.
         """
         start = time.perf_counter()
         load = self._unturned(self._largest(loads))
@@ -82,14 +81,12 @@ class PartsSolver:
             self._solver = self._of(given)
             self.body.wanted = given
         else:
-
-            def wanted(linear: LinearSolver) -> int:
-                return self._wanted(linear.step(load).displacement)
-
-            guess = _guess(self._whole)
-            count = min(max(self.least, 1 if guess is None else wanted(guess)), MOST_PARTS)
+            is_dense = type(self._whole.formulation) is BoundaryFormulation
+            guess = self._wanted(guessed(self._whole, load)) if is_dense else 1
+            count = min(max(self.least, guess), MOST_PARTS)
             self._solver = self._fitting(count)
-            needed = max(self.least, wanted(LinearSolver(self.problem, factor=self.factor)))
+            linear = LinearSolver(self.problem, factor=self.factor).step(load)
+            needed = max(self.least, self._wanted(linear.displacement))
             if min(needed, MOST_PARTS) != count:
                 self._solver = self._fitting(min(needed, MOST_PARTS))
             self.body.wanted = needed
@@ -260,11 +257,3 @@ def inside(rest: Array, x: Array) -> Array:
 
     n = len(x)
     return np.vstack([x, RBFInterpolator(rest[:n], x, kernel="linear")(rest[n:])])
-
-
-def _guess(problem: Problem) -> LinearSolver | None:
-    """What answers about as the problem's body of boundary elements, at a few per cent of its costs."""
-    form = problem.formulation
-    if type(form) is not BoundaryFormulation or form.parameters.ground is not None:
-        return None
-    return coarse_solver(problem, RoughFormulation, form.surface, form.parameters, problem.support.held)

@@ -154,14 +154,6 @@ class SparseFormulation(BoundaryFormulation):
         return np.asarray((self.gather @ sparse.diags_array(springs) @ self.spread).toarray())
 
 
-class RoughFormulation(SparseFormulation):
-    """On an eighth of the nodes: a few per cent of the cost of the whole body."""
-
-    @property
-    def _most_coarse(self) -> int:
-        return self.surface.n_nodes // 8
-
-
 class _OnSprings(SparseFormulation):
     """A coarse body with the fine surface's springs to the ground, which pull at its interpolated motion."""
 
