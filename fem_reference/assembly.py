@@ -29,7 +29,7 @@ def reference_gradients(order: int, barycentric: Array) -> Array:
     points = barycentric[:, 1:].T
     zero = np.zeros(points.shape[1])
     nodes = 10 if order == 2 else 4
-    # Some entries come back as scalars or integers: adding zeros brings all to one shape.
+    # basis functions may return scalars or integers: adding zeros gives all one shape
     gradients = [[component + zero for component in element.lbasis(points, i)[1]] for i in range(nodes)]
     return np.asarray(gradients, dtype=np.float64).transpose(2, 0, 1)
 
@@ -74,9 +74,9 @@ class Pattern:
 
 
 def scalar_pattern(mesh: TetMesh) -> Pattern:
-    """The pattern of all node pairs that share an element.
+    """The pattern of all node pairs that share an element, found by the node-to-element incidence.
 
-    Rows are gathered through the node-to-element incidence, so that sorting happens within rows only.
+    Sorting then happens within rows only.
     """
     nodes = mesh.element_nodes
     m, width = nodes.shape
@@ -121,7 +121,7 @@ def coupling_pattern(mesh: TetMesh, pattern: Pattern) -> Pattern:
 
 
 def mass_matrix(mesh: TetMesh, weights: Array | None = None) -> csr_array:
-    """Mass matrix of the P1 pressures, each tetrahedron times its weight, by scikit-fem [m^3]."""
+    """Mass matrix (n, n) of the P1 pressures, weighted by tetrahedron (m,), from scikit-fem [m^3]."""
     basis = Basis(mesh.pressure_mesh, ElementTetP1(), intorder=2, disable_doflocs=True)
     scale = np.ones((1, 1)) if weights is None else weights[:, None]
     return csr_array(BilinearForm(lambda p, q, w: w.scale * p * q).assemble(basis, scale=scale))
@@ -135,5 +135,5 @@ def gravity_weights(mesh: TetMesh) -> Array:
 
 
 def chunks(count: int, most: int) -> list[slice]:
-    """Slices of at most so many that cover a count."""
+    """Slices of at most `most` items that cover `count`."""
     return [slice(start, min(start + most, count)) for start in range(0, count, most)]

@@ -1,12 +1,12 @@
-"""Linear elasticity condensed to the surface: an exact answer per frame for the price of one dense product.
+"""Linear elasticity condensed to the surface: each frame is exact and costs one dense product.
 
-For loads on a chosen contact region the linear problem is solved once per direction in which pressure can push
-each of its nodes: three at a vertex, two at an edge's middle between two facets, one where facets are flat. It is
-solved once more per motion that its held nodes can make. What a frame needs (surface displacement, reactions, mean
-pressure, work) is linear in those forces and motions and kept as the rows of one dense matrix.
+The linear problem is solved once for each direction in which pressure can push a node of the contact region:
+three at a vertex, two at an edge's middle between two facets, one where facets are flat. It is solved once more
+for each motion of the held nodes. Surface displacement, reactions, mean pressure and work are linear in those
+forces and motions. They are the rows of one dense matrix.
 
-Method: static condensation to the contact and the held nodes. Order: exact, to the residual of the solves. Source:
-Guyan 1965, doi 10.2514/3.2874; Bro-Nielsen and Cotin 1996, doi 10.1111/1467-8659.1530057.
+Method: static condensation to the contact and the held nodes. Order: exact, to the residual of the solves.
+Source: Guyan 1965, doi 10.2514/3.2874; Bro-Nielsen and Cotin 1996, doi 10.1111/1467-8659.1530057.
 """
 
 from __future__ import annotations
@@ -30,24 +30,23 @@ from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
 CONDITION = "condition_estimate"
-# facets whose normals differ by less than this push in one direction: far below what is promised
+# facets whose normals differ by less than this push in one direction: far below the promised accuracy
 _FLAT = 1e-12
-# a motion left over beyond this share is none of those that were prepared
+# a remainder beyond this share of a motion is outside the span of the prepared motions
 _SPANNED = 1e-11
 
 
 class CondensedProblem:
     """The response of a `LinearProblem` to contact pressure, weight and motions of held nodes, as one dense matrix.
 
-    Equal to the linear solve to the accuracy of that problem's own solver.
+    It equals the linear solve to the accuracy of that problem's solver.
 
     Parameters
     ----------
     problem : the linear problem; make it with solver="direct" or many `expected_loads`
-    contact : (N,) surface nodes; a facet whose three vertices are all among them can be loaded. None of them where
-        there is no contact: without weight and motions the answer to what is left is zero
-    motions : (M, N, 3) displacements that held nodes can be given, in any combination; without them they stay where
-        they are [m]
+    contact : (N,) surface nodes; a facet can be loaded if its three vertices are among them. May be empty without
+        contact: the answer is then zero without weight and motions
+    motions : (M, N, 3) displacements of held nodes, in any combination; without them these nodes rest [m]
     memory_limit : bytes the matrix may take; None for what the machine has left
 
     Attributes
@@ -55,9 +54,10 @@ class CondensedProblem:
     nodes : (L,) nodes that take force, vertices and edge middles of the contact facets
     pushed : (C,) the place in `nodes` of each unit force, at most three of a node
     directions : (C, 3) unit vectors of these forces, perpendicular at a node
-    matrix : (rows, C or C + 3, + M) response to unit forces [1/N], where the body has a density to unit
-        accelerations, and to the motions: displacement of the surface nodes, then along the unit forces, reactions
-        at held nodes, mean pressure, the work of unit accelerations, and of the reactions along the motions
+    matrix : (rows, C or C + 3, + M) response to unit forces [1/N], to unit accelerations where the body has a
+        density, and to the motions. Rows: displacement of the surface nodes, displacement along the unit forces,
+        reactions at held nodes, mean pressure, work of unit accelerations, and work of the reactions along the
+        motions
     seconds_setup : time of the set-up, that of `problem` included [s]
     residual : largest relative residual of the solves
 
@@ -127,15 +127,15 @@ class CondensedProblem:
         return self.matrix.nbytes
 
     def solve(self, loads: Sequence[Load], outputs: frozenset[str] = frozenset()) -> Solution:
-        """One frame per load: a dense product each.
+        """One frame per load, each a dense product.
 
-        `outputs` may ask for "condition_estimate", that of the problem that was solved for the columns.
+        `outputs` may contain "condition_estimate", that of the problem that gave the columns.
 
         Raises
         ------
         SolverError
-            For a load that `LinearProblem` would refuse, pressure outside the contact region, held nodes that move
-            otherwise than `motions`, and an unknown output.
+            For a load that `LinearProblem` would refuse, pressure outside the contact region, held nodes that
+            move outside the span of `motions`, and an unknown output.
         """
         check_outputs(outputs, [CONDITION])
         mesh = self.problem.mesh
@@ -144,7 +144,7 @@ class CondensedProblem:
         work = np.empty(len(loads))
         energy = np.empty(len(loads))
         seconds = np.empty(len(loads))
-        if loads:  # the first product takes several times as long as those after it
+        if loads:  # not timed: the first product takes several times as long as later ones
             np.matmul(self.matrix, np.concatenate(self._amplitudes(0, loads[0])), out=frames[0])
         for step, load in enumerate(loads):
             start = clock()
@@ -205,7 +205,7 @@ class CondensedProblem:
         return forces, gravity, self._motion_shares(step, load)
 
     def _motion_shares(self, step: int, load: Load) -> Array:
-        """(M,) shares of the motions in what a load gives the held components."""
+        """(M,) shares of the motions that give a load's displacement of the held components."""
         given = np.asarray(load.prescribed, dtype=np.float64)[self._held_components]
         shares = np.asarray(self._to_shares @ given)
         left = given - self._moved.T @ shares
@@ -217,7 +217,7 @@ class CondensedProblem:
         return shares
 
     def _checked_motions(self, motions: ArrayLike | None) -> Array:
-        """(M, N, 3) motions; sets what a load's shares of them are found with."""
+        """(M, N, 3) motions; also prepares the fit of a load's shares of them."""
         surface = self.problem.mesh.surface_nodes
         values = np.zeros((0, len(surface), 3)) if motions is None else np.asarray(motions, dtype=np.float64)
         if values.ndim != 3 or values.shape[1:] != (len(surface), 3):
@@ -287,7 +287,7 @@ class CondensedProblem:
         return self.problem.solve_nodal(forces, given)
 
     def _observe(self, fields: Fields) -> Array:
-        """(S, rows) what is kept of fields."""
+        """(S, rows) the rows of the matrix that fields give."""
         mesh, steps = self.problem.mesh, len(fields.displacement)
         u = fields.displacement
         reaction = gather_to_vertices(mesh, fields.reaction)[:, self._held]

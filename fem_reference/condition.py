@@ -1,4 +1,4 @@
-"""How well conditioned a body's system is: its condition number in the 1-norm, estimated from a few solves."""
+"""The condition number of a body's system in the 1-norm, estimated from a few solves."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from fem_reference.system import LinearSystem
 from solver_common.arrays import Array
 from solver_common.condition import estimated_norm, operator
 
-_SOLVES = 12  # about as many as the estimate takes
+_SOLVES = 12  # typical number for one estimate
 
 
 def condition_estimate(system: LinearSystem, solver: Solver | None = None) -> float:
-    """|M|_1 |M^-1|_1 of a system M, each unknown in a unit of its own; inf where it is singular.
+    """|M|_1 |M^-1|_1 of a system M with each unknown in its own unit; inf where it is singular.
 
-    Displacements are scaled to a unit diagonal and pressures by their Schur complement's, the mass matrix: nearly
-    the best that a diagonal can do (van der Sluis, Numer. Math. 14 (1969) 14). What is left is the physics of the
-    body and its supports, and what the shape of the elements adds to it.
+    Displacements are scaled to a unit diagonal. Pressures are scaled by the diagonal of their Schur complement,
+    the mass matrix. This is nearly the best diagonal scaling (van der Sluis, Numer. Math. 14 (1969) 14). The
+    number then reflects the physics of the body and its supports, and the shape of the elements.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def condition_estimate(system: LinearSystem, solver: Solver | None = None) -> fl
 
 
 def _units(system: LinearSystem) -> Array:
-    """(size,) what each unknown is divided by."""
+    """(size,) unit of each unknown."""
     displacement = 1.0 / np.sqrt(system.stiffness.diagonal())
     if system.mass is None:
         return np.asarray(displacement)

@@ -1,15 +1,15 @@
 """Unilateral contact of a linear body with a rigid frictionless indenter.
 
-The contact pressure is continuous and linear on each facet, one order below the displacement, with its values at
-the vertices as multipliers. With their hat functions psi_i, the gap c of the undeformed surface and the push e,
+The contact pressure is continuous and linear on each facet, one order below the displacement; its vertex values
+are the multipliers. With their hat functions psi_i, the gap c of the undeformed surface and the push e,
 
     G_i = integral of psi_i (c + e.u) >= 0,   p_i >= 0,   p_i G_i = 0,
 
-as Hertz's theory has it: the slopes of surface and indenter are small, forces act along e. The body answers by its
-compliance W = B^T C B, from one solve per vertex; G = g + W p is a linear complementarity problem, solved by the
+as in Hertz's theory: the slopes of surface and indenter are small, and forces act along e. The compliance of the
+body is W = B^T C B, from one solve per vertex. G = g + W p is a linear complementarity problem, solved by the
 primal-dual active set (Hintermueller, Ito and Kunisch 2002, doi 10.1137/S1052623401383558).
 
-With five cells to the contact radius Hertz's force is met to 1 %, the pressure at a vertex to some 15 %.
+With five cells to the contact radius, the error in Hertz's force is 1 %, in the pressure at a vertex some 15 %.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from solver_common.jit import clock
 from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
-_MOST_CHANGES = 60  # of the active set; it settles in some ten
+_MOST_CHANGES = 60  # of the active set; about ten are typical
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class ContactSolution:
 
     Attributes
     ----------
-    solution : the body's fields, under the contact forces and what else loads it
-    force : (S,) of the indenter on the body, along its push [N]
-    contact_area : (S,) where the pressure is positive, counted by vertices [m^2]
+    solution : the body's fields under contact and all other loads
+    force : (S,) force of the indenter on the body, along its push [N]
+    contact_area : (S,) area with positive pressure, counted by vertices [m^2]
     contact_pressure : (S, N) along the push, at the surface nodes [Pa]
-    least_gap : (S,) the smallest mean gap about a vertex, not below zero but for rounding [m]
+    least_gap : (S,) the smallest mean gap about a vertex, not negative except for rounding [m]
     changes : (S,) of the active set
     status : S outcomes
     """
@@ -92,7 +92,7 @@ class ContactProblem:
         triangles = mesh.triangles[facets]
         corners = mesh.points[mesh.surface_nodes[triangles]]
         gap = indenter.gap(np.einsum("qa,fai->fqi", points, corners))
-        # what the indenter passes by takes no part
+        # points that the indenter passes by take no part
         measure = np.linalg.norm(mesh.area_vectors[facets], axis=1)[:, None] * weights * np.isfinite(gap)
         if not measure.any():
             raise _bad_contact("no facet of the region lies under the indenter", "choose more surface nodes")
@@ -130,8 +130,8 @@ class ContactProblem:
 
         Parameters
         ----------
-        depths : in any order; neighbours help each other
-        load : what else acts, in every step or in each
+        depths : in any order; each is solved faster from a near one
+        load : all other loads, for every step or for each
 
         Raises
         ------
@@ -170,12 +170,12 @@ class ContactProblem:
         )
 
     def _inside(self, displacement: Array, depth: float) -> float:
-        """The deepest that a point of the surface is inside the indenter [m]; displacement (N, 3) of its nodes."""
+        """Greatest depth of a surface point inside the indenter [m]; displacement (N, 3) of the surface nodes."""
         moved = (displacement @ self.indenter.axis)[self._corners] @ self._shares.T
         return float(np.clip(depth - self._gap_at - moved, 0.0, None).max())
 
     def _lifted(self, loads: Sequence[Load]) -> Array:
-        """(S, C) sums of the gaps that these loads alone leave; one load after another is often the same."""
+        """(S, C) gap integrals under these loads without the indenter; equal loads in a row are solved once."""
         found: list[Array] = []
         for step, load in enumerate(loads):
             if step and load is loads[step - 1]:

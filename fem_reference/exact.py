@@ -1,4 +1,4 @@
-"""Closed-form solutions of linear elasticity that the reference is held to.
+"""Closed-form solutions of linear elasticity that verify the reference.
 
 Displacements are in metres, stresses in pascals; every body is centred at the origin.
 """

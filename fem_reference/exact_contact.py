@@ -1,4 +1,4 @@
-"""Solutions of contact without friction that the reference is held to: half-spaces, and a bonded layer."""
+"""Solutions of contact without friction that verify the reference: half-spaces, and a bonded layer."""
 
 from __future__ import annotations
 

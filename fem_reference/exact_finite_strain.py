@@ -1,4 +1,4 @@
-"""Closed-form solutions of finite elasticity that the reference is held to."""
+"""Closed-form solutions of finite elasticity that verify the reference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""rslab's LDL^T of symmetric systems: the analysis of a sparsity pattern says what a factor needs, and makes it."""
+"""rslab's LDL^T of symmetric systems: the analysis of a sparsity pattern, its memory needs and its factors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LEAST_COMPRESSIBILITY = 1e-7
 
 
 class Factor(Protocol):
-    """A factorised matrix; of its eigenvalues `inertia` are positive, negative and zero."""
+    """A factorised matrix; `inertia` counts its positive, negative and zero eigenvalues."""
 
     inertia: tuple[int, int, int]
 
@@ -32,7 +32,7 @@ class Factor(Protocol):
 
 
 class Analysis:
-    """What is known of all symmetric matrices with the sparsity pattern of this lower triangle."""
+    """Symbolic analysis of all symmetric matrices with the sparsity pattern of this lower triangle."""
 
     def __init__(self, lower: csc_array) -> None:
         # stacks of its threads, gigabytes for a large matrix, mostly never touched
@@ -40,7 +40,7 @@ class Analysis:
             self._symbolic = rslab.analyze(lower, path="ldlt")
 
     def needed_bytes(self, precision: str, columns: int) -> float:
-        """Memory at the peak of a factorisation, and of a solve for so many columns [B]."""
+        """Peak memory of a factorisation and of a solve for so many columns [B]."""
         return float(self._symbolic.memory_plan(dtype=precision, nrhs=columns)["peak_bytes"])
 
     def factor(self, lower: csc_array, precision: str) -> Factor:
@@ -56,9 +56,9 @@ class Analysis:
 
 
 def pivotable_triangle(system: LinearSystem) -> csc_array:
-    """Lower triangle of a system, with a small pressure block in an incompressible body: no pivot must be zero.
+    """Lower triangle of a system; an incompressible body gets a small pressure block, so that no pivot is zero.
 
-    Refinement on the true residual takes the effect of that block out again.
+    Refinement on the true residual removes the effect of that block.
     """
     floor = _LEAST_COMPRESSIBILITY if system.compressibility >= 0.0 else system.compressibility
     return system.lower_triangle(max(system.compressibility, floor))

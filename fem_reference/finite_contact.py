@@ -1,18 +1,19 @@
 """Unilateral contact at finite strain: a rigid frictionless indenter against the deformed surface.
 
-With c the distance of a deformed point from the indenter, negative inside, the pressure per undeformed area is
-p = max(0, -k c) at every quadrature point of the facets, along the indenter's normal n: a penalty k, with the
-consistent tangent k n x n - p H, H the second derivative of c (Wriggers 2006, Computational Contact Mechanics,
-section 6.3). A pressure of one shear modulus sinks in by a three-hundredth of a mean edge, which is told.
+c is the distance of a deformed point from the indenter, negative inside, and n the indenter's normal. The
+pressure per undeformed area along n is p = max(0, -k c) at every quadrature point of the facets. k is a penalty
+with the consistent tangent k n x n - p H, H the second derivative of c (Wriggers 2006, Computational Contact
+Mechanics, section 6.3). A pressure of one shear modulus sinks in by a three-hundredth of a mean edge; the depth
+is reported.
 
-Newton's method has the pressures as unknowns beside the displacement: its tangent takes p from the linear solve
-before (as Magisano, Leonetti and Garcea 2017, Comput. Methods Appl. Mech. Eng. 313, 986, do with stresses), and a
-point that this solve pressed stays in contact, also where the surface has since bent away from it (the primal-dual
-active set of Hintermueller, Ito and Kunisch 2002, doi 10.1137/S1052623401383558). By the distance alone a stiff
-penalty on a soft body opens and closes from one iteration to the next.
+The unknowns of Newton's method are the displacement and the pressures. Its tangent takes p from the last linear
+solve (Magisano, Leonetti and Garcea 2017, Comput. Methods Appl. Mech. Eng. 313, 986, do so with stresses). A
+point that this solve pressed stays in contact, even where the surface has since moved away (the primal-dual
+active set of Hintermueller, Ito and Kunisch 2002, doi 10.1137/S1052623401383558). If distance alone decided, a
+stiff penalty on a soft body would open and close from one iteration to the next.
 
-A point of the surface near the axis and behind the indenter's middle has been passed by: nothing pushes it back. A
-substep that passes a point does not count.
+The indenter has passed a surface point that is near the axis and behind its middle: nothing pushes that point
+back. A substep that passes a point fails.
 """
 
 from __future__ import annotations
@@ -32,23 +33,23 @@ from solver_common.quadrature import facet_quadrature
 from solver_common.solution import solver_error
 
 PENALTY = 300.0  # of a shear modulus per mean edge
-_CUTS = 6  # of an edge: a surface that crosses the axis has a point of this lattice near it
+_CUTS = 6  # parts of a facet edge: a surface that crosses the axis has a point of this lattice near it
 _LATTICE = np.array([(i, j, _CUTS - i - j) for i in range(_CUTS + 1) for j in range(_CUTS + 1 - i)]) / _CUTS
-_APART = 1.0 / 3.0  # of an edge, the points at which a facet is held off
+_APART = 1.0 / 3.0  # of an edge: distance between the points at which a facet is held off
 
 
 @dataclass(frozen=True)
 class Indentation:
-    """What an indenter does in S steps; NaN from the first step on that was not reached.
+    """Response to an indenter in S steps; NaN from the first step that was not reached.
 
     Attributes
     ----------
-    solution : the same as of any load history
-    force : (S, 3) of the indenter on the body [N]
-    penalty_energy : (S,) what is stored in the penalty, zero for an ideal contact [J]
+    solution : as for any load history
+    force : (S, 3) force of the indenter on the body [N]
+    penalty_energy : (S,) energy stored in the penalty, zero for an ideal contact [J]
     contact_area : (S,) undeformed area under pressure [m^2]
-    inside : (S,) the deepest that a point of the surface is left inside the indenter, at the quadrature points and
-        on a lattice of every facet [m]
+    inside : (S,) greatest depth of a surface point inside the indenter, at the quadrature points and on a lattice
+        of every facet [m]
     """
 
     solution: Solution
@@ -65,7 +66,7 @@ class RigidContact:
     ----------
     mesh, pattern : the body's
     indenter : a sphere or a capsule
-    facets : (F,) those that it can touch
+    facets : (F,) facets that it can touch
 
     Raises
     ------
@@ -107,27 +108,27 @@ class RigidContact:
 
     @property
     def untouched(self) -> Array:
-        """(f, Q) no pressure."""
+        """(f, Q) zero pressures."""
         return np.zeros_like(self._measure)
 
     def predicted(self, positions: Array, depth: float, pressure: Array, step: Array) -> Array:
-        """(f, Q) pressures after a step (n_nodes, 3), by the linear model here; negative where it pulls.
+        """(f, Q) pressures after a step (n_nodes, 3), by the linear model at this state; negative where it pulls.
 
         Parameters
         ----------
-        pressure : (f, Q) of the solve before, see `add_stiffness`
+        pressure : (f, Q) of the last linear solve, see `add_stiffness`
         """
         distance, normal, _ = self._distance(positions, depth)
         change = np.einsum("fqi,fqi->fq", normal, self._shape @ step[self._nodes])
         return np.where(_is_on(distance, pressure), -PENALTY * (distance + change), 0.0)
 
     def lacking(self, positions: Array, depth: float, pressure: Array) -> float:
-        """How far the points in contact are from where their (f, Q) pressures would have them."""
+        """Largest distance of points in contact from the depth that their pressures (f, Q) require."""
         distance = self._distance(positions, depth)[0]
         return float(np.abs(np.where(_is_on(distance, pressure), distance + pressure / PENALTY, 0.0)).max())
 
     def forces(self, positions: Array, depth: float, pressure: Array | None = None) -> Array:
-        """(n_nodes, 3) forces on the body of (f, Q) pressures; left out: those of the penalty."""
+        """(n_nodes, 3) forces on the body of (f, Q) pressures, by default those of the penalty."""
         distance, normal, _ = self._distance(positions, depth)
         pressure = self._pressure(distance) if pressure is None else pressure
         traction = (pressure * self._measure)[..., None] * normal
@@ -140,7 +141,7 @@ class RigidContact:
 
         Parameters
         ----------
-        pressure : (f, Q) of the solve before, whose points stay in contact; left out: those of the penalty
+        pressure : (f, Q) of the last linear solve, whose points stay in contact; by default those of the penalty
         """
         distance, normal, curvature = self._distance(positions, depth)
         pressure = self._pressure(distance) if pressure is None else pressure
@@ -154,7 +155,7 @@ class RigidContact:
         np.add.at(blocks, self._pattern.places(self._nodes[touched]), values.reshape(-1, 3, 3))
 
     def inside(self, positions: Array, depth: float) -> float:
-        """The deepest that a point of the surface is inside the indenter."""
+        """Greatest depth of a surface point inside the indenter."""
         distance = np.linalg.norm(self._from_middle(positions, depth, self._everywhere)[0], axis=-1)
         return float(np.clip(self._radius - distance, 0.0, None).max())
 
@@ -166,7 +167,7 @@ class RigidContact:
         return bool(((along < 0.0) & (across < 0.5 * self._radius)).any())
 
     def is_pushed_on(self, positions: Array, depth: float) -> bool:
-        """Whether the body pushes the indenter onward: then it is behind the surface that it met."""
+        """Whether the body pushes the indenter onward: the indenter is then behind the surface that it met."""
         return float((self.forces(positions, depth) @ self._axis).sum()) < 0.0
 
     def energy(self, positions: Array, depth: float) -> float:
@@ -196,14 +197,14 @@ class RigidContact:
         return length - self._radius, normal, flat / length[..., None, None]
 
     def _from_middle(self, positions: Array, depth: float, shape: Array) -> tuple[Array, Array]:
-        """(f, Q, 3) points from the nearest of the indenter's middle line, and their (f, Q) places along it."""
+        """(f, Q, 3) vectors from the nearest points of the indenter's middle line, and the (f, Q) places there."""
         y = shape @ positions[self._nodes] - (self._start + depth * self._axis)
         place = y @ self._along
         return y - np.clip(place, -self._half, self._half)[..., None] * self._along, place
 
 
 def _is_on(distance: Array, pressure: Array) -> Mask:
-    """Which points are in contact: inside the indenter, or pressed by the solve before."""
+    """Which points are in contact: inside the indenter, or pressed by the last linear solve."""
     return (distance < 0.0) | (pressure > 0.0)
 
 

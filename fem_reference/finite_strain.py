@@ -1,7 +1,7 @@
 """Finite-strain elasticity on tetrahedra, for every Poisson ratio in (-1, 0.5], 0.5 included: the fast path.
 
-Method: total Lagrangian, mixed displacement-pressure form, Taylor-Hood element; Newton's method along a load path.
-It is held to `fem_reference.plain_finite_strain`.
+Method: total Lagrangian, mixed displacement-pressure form, Taylor-Hood element; Newton's method along a load
+path. `fem_reference.plain_finite_strain` verifies it.
 Order: 3 in displacement, 2 in strain and pressure (L2).
 Source: Bonet and Wood, Nonlinear Continuum Mechanics, 2nd ed., chapters 6 to 9.
 """
@@ -56,28 +56,28 @@ class FiniteStrainProblem:
     """One body, one material and one set of supports, for load histories of any size.
 
     Mixed displacement-pressure Taylor-Hood elements (P2-P1), total Lagrangian, for the laws of
-    `fem_reference.materials`; its small-load limit is `fem_reference.linear.LinearProblem`. Newton's method with
-    the consistent tangent; a load step that does not converge is cut into substeps, which grow again
-    where it is easy.
+    `fem_reference.materials`. The small-load limit is `fem_reference.linear.LinearProblem`. Newton's method uses
+    the consistent tangent. A load step that does not converge is cut into substeps, which grow again where
+    convergence is easy.
 
     Parameters
     ----------
     points, tetrahedra, surface_nodes, triangles : see `fem_reference.mesh.TetMesh`
     youngs_modulus : of the isotropic part, one number or one per tetrahedron [Pa], positive
     poisson_ratio : of the isotropic part, in (-1, 0.5], or one per tetrahedron in (0, 0.5]
-    parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
+    parts : (m,) number of each tetrahedron's part: the pressure may jump between parts, as where moduli jump
     elastic_supports : springs under parts of the surface
-    cavities : (F, k) facets of the walls of cavities that an incompressible fluid fills: each keeps its volume
+    cavities : (F, k) facets of the walls of cavities filled with an incompressible fluid: each keeps its volume
     density : of the undeformed body [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     material : one of `fem_reference.materials.MATERIALS`
     fibre_direction : (3,) of any length, for the transversely isotropic law
     contrast : Young's modulus along the fibres over `youngs_modulus`, 1 or more
-    material_parameters : those of the law without a unit, see `fem_reference.materials.make_law`
+    material_parameters : the dimensionless ones of the law, see `fem_reference.materials.make_law`
     pressure : "follower" acts on the deformed surface along its normal; "dead" keeps its first forces
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
     expected_loads : number of load steps to come, for the choice
-    max_newton : iterations after which a substep is cut in two, unless the residual just fell to a tenth
+    max_newton : iterations before a substep is halved, unless the residual just fell to a tenth
     tolerance : of the residual of the scaled system, relative to its internal forces
     memory_limit : bytes the solver may take; None for what the machine has left
 
@@ -128,7 +128,7 @@ class FiniteStrainProblem:
         self.shear_modulus = moduli.shear_modulus
         self.material = material
         self.pressure = pressure
-        # In units of the shear modulus, as everything below.
+        # in units of the shear modulus, like all below
         self._law = make_law(
             material, 2.0 * (1.0 + self.poisson_ratio), 1.0, fibre_direction, contrast, material_parameters
         )
@@ -168,8 +168,8 @@ class FiniteStrainProblem:
     def substeps(self, loads: Sequence[Load], path: LoadPath | None = None) -> Iterator[tuple[int, Substep]]:
         """Follow a load history from the undeformed body, one attempt at a time; each load by `path` if given.
 
-        Yields the number of the load step and each attempt, converged or not; ends early where a load step cannot
-        be reached. See `fem_reference.newton.Substep`; its quantities are in mean edges and shear moduli.
+        Yields the number of the load step with each attempt, converged or not. Ends at a load step that cannot be
+        reached. See `fem_reference.newton.Substep`; its quantities are in mean edges and shear moduli.
 
         Raises
         ------
@@ -180,15 +180,15 @@ class FiniteStrainProblem:
         return self._follow([self._scaled(load) for load in loads], path)
 
     def tangent(self, reached: Substep) -> TangentSystem:
-        """The tangent in the state of a substep, in its scaled units."""
+        """The tangent at the state of a substep, in its scaled units."""
         return self._newton.tangent(reached.state, reached.load)
 
     def softest(self, reached: Substep) -> float:
-        """Lowest eigenvalue of the tangent in the state of a substep, over that at rest; see `Newton.softest`."""
+        """Lowest eigenvalue of the tangent at a substep's state, over that at rest; see `Newton.softest`."""
         return self._newton.softest(reached)
 
     def solve_nodal(self, forces: Array, prescribed: Array) -> Fields:
-        """Follow a history of dead forces and displacements that are given at the nodes.
+        """Follow a history of dead forces and prescribed displacements at the nodes.
 
         Parameters
         ----------
@@ -198,7 +198,7 @@ class FiniteStrainProblem:
         Returns
         -------
         Fields
-            NaN from the first load step on that cannot be reached.
+            NaN from the first load step that cannot be reached.
 
         Raises
         ------
@@ -235,12 +235,12 @@ class FiniteStrainProblem:
         Parameters
         ----------
         gravity : (3,) [m/s^2]
-        near : those of a body of nearly the same shape, from which it starts
+        near : fields of a body of nearly the same shape, to start from
 
         Raises
         ------
         SolverError
-            where the weight is beyond reach; its status is that of the load step.
+            where the weight cannot be reached; its status is that of the load step.
         """
         length, load, rest, found = self.mesh.mean_edge, self._weight(gravity), self._newton.rest, None
         if near is not None:
@@ -263,9 +263,9 @@ class FiniteStrainProblem:
         )
 
     def is_stable(self, gravity: ArrayLike, near: Fields) -> bool:
-        """Whether its `sag` under gravity (3,) [m/s^2] is a state in which the body rests, not one that it leaves.
+        """Whether the `sag` under gravity (3,) [m/s^2] is a stable equilibrium.
 
-        Of the tangent's eigenvalues one is negative for each pressure then, and no other.
+        The tangent then has one negative eigenvalue for each pressure, and no others.
 
         Raises
         ------
@@ -286,14 +286,14 @@ class FiniteStrainProblem:
         return self._scaled(Load(self._newton.rest.load.pressure, on_surface, np.asarray(gravity, float)))
 
     def _state(self, near: Fields) -> State:
-        """Scaled, of nodal fields of a body of nearly the same shape."""
+        """Scaled state, from nodal fields of a body of nearly the same shape."""
         displacement = near.displacement[0] / self.mesh.mean_edge
         pressure = near.pressure[0] / self._stress_unit
         return State(displacement, pressure, self._newton.rest.state.fluid)
 
     @property
     def _stress_unit(self) -> float:
-        """Of scaled pressures [Pa]."""
+        """Unit of scaled pressures [Pa]."""
         return self.system.pressure_scale * self.shear_modulus
 
     def indent(
@@ -309,15 +309,15 @@ class FiniteStrainProblem:
         Parameters
         ----------
         indenter : a sphere or a capsule
-        facets : (F,) those that it can touch
-        depths : of the steps, from where its tip is at rest [m]
-        load : what else acts, in full from the first step on or step by step
+        facets : (F,) facets that it can touch
+        depths : depth at each step, from the place where its tip rests [m]
+        load : all other loads, in full from the first step or step by step
         outputs : further scalars of its solution, see `OUTPUTS`; no condition
 
         Raises
         ------
         SolverError
-            For an indenter that is none for this body, depths that are not finite, and a load that is refused.
+            For an indenter that does not suit this body, depths that are not finite, and a load that is refused.
         """
         check_outputs(outputs, OUTPUTS.keys() - {"condition_estimate"})
         mesh, length = self.mesh, self.mesh.mean_edge
@@ -370,13 +370,13 @@ class FiniteStrainProblem:
         ----------
         loads : the load steps
         outputs : further scalars, see `OUTPUTS`
-        path : on which each step starts instead, from what it knows of this problem's loads; remembers them
+        path : if given, steps start from the states that it knows for this problem's loads; it remembers theirs
 
         Returns
         -------
         Solution
-            `iterations` counts Newton iterations. A step that failed holds the last state in equilibrium on the
-            way to it, at the share of the step in scalars["load_factor"]; the steps after it hold NaN.
+            `iterations` counts Newton iterations. A failed step holds the last equilibrium on the way to its
+            load; scalars["load_factor"] is the share reached. Later steps hold NaN.
 
         Raises
         ------
@@ -404,7 +404,7 @@ class FiniteStrainProblem:
         )
 
     def _told(self) -> dict[str, float | str]:
-        """What is told of every solution."""
+        """Properties recorded with every solution."""
         return {
             "element": "P2-P1",
             "material": self.material,

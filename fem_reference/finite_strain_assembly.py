@@ -1,8 +1,8 @@
 """Residual and tangent of the mixed finite-strain element, total Lagrangian, from numpy products.
 
-Everything is scaled as in `fem_reference.system`: lengths in mean edges, stresses in shear moduli, and the pressure
-p = a q. With the tangent's factors (`fem_reference.kinematics.Tangent`) an element matrix is a sum of products of
-short vectors over the quadrature points, added to the sums at once.
+All quantities are scaled as in `fem_reference.system`: lengths in mean edges, stresses in shear moduli, and the
+pressure p = a q. With the tangent's factors (`fem_reference.kinematics.Tangent`) an element matrix is a sum of
+products of short vectors over the quadrature points. The products are added to the global blocks at once.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from solver_common.jit import compiled
 
 # The volume constraint is of degree 4: a rule exact to degree 5 (14 points, all weights positive).
 _DEGREE = 5
-_CHUNK = 1024  # elements per pass: its arrays stay near the caches
-_LANES = 16  # points and zeros: a compiled loop of this constant length, a multiple of four, uses vectors
+_CHUNK = 1024  # elements per pass: the arrays stay near the caches
+_LANES = 16  # points and padding: compiled loops of this constant length, a multiple of four, use vectors
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Forces:
 class ElementAssembly:
     """Internal forces and their derivative on one mesh, for one law in units of the shear modulus.
 
-    `stiffness` is an (m,) factor of each tetrahedron: its energy is that much of the law's.
+    `stiffness` (m,) multiplies the law's energy in each tetrahedron.
     """
 
     mesh: TetMesh
@@ -69,7 +69,7 @@ class ElementAssembly:
         length = mesh.mean_edge
         self._barycentric_gradients = mesh.barycentric_gradients * length
         self._weights = (mesh.volumes / length**3)[:, None] * (6.0 * weights)
-        # Tetrahedra whose first nodes are near in number share blocks, which then are still in the cache.
+        # order by node numbers: neighbours then share blocks that are still in the cache
         order = np.argsort(mesh.element_nodes.min(axis=1), kind="stable")
         self._parts = [order[part] for part in chunks(len(order), _CHUNK)]
 
@@ -102,8 +102,8 @@ class ElementAssembly:
     def tangent(self, displacement: Array, pressure: Array, lame: float = 0.0) -> tuple[Array, Array]:
         """Derivatives of the nodal forces and of the volumes with respect to the displacement.
 
-        `lame` is lambda over the shear modulus where no pressure stands for it, as in a displacement element: with
-        it the tangent at rest is Hooke's law.
+        `lame` is lambda over the shear modulus for a displacement element, which has no pressure: the tangent at
+        rest is then Hooke's law.
 
         Returns
         -------
@@ -169,7 +169,7 @@ class ElementAssembly:
         return deviation, strains
 
     def least_volume_ratio(self, displacement: Array) -> tuple[float, Array]:
-        """Least det F at the quadrature points, and that point in the undeformed body, (3,) [m]."""
+        """Least det F at the quadrature points, and the undeformed place (3,) of that point [m]."""
         ratios = np.empty_like(self._weights)
         for part in self._parts:
             ratios[part] = self._kinematics(part, displacement).dilation
@@ -179,11 +179,11 @@ class ElementAssembly:
 
     @property
     def volumes(self) -> Array:
-        """(m, Q) undeformed volumes that the quadrature points stand for, in units of the mean edge cubed."""
+        """(m, Q) undeformed volumes of the quadrature points, in units of the mean edge cubed."""
         return self._weights
 
     def _elastic(self, part: Index, deformation: Array, elasticity: Array) -> Array:
-        """(e, 3, n, 3, n) element matrices of the (e, q, 6, 6) elasticity with weights in it."""
+        """(e, 3, n, 3, n) element matrices of the (e, q, 6, 6) elasticity, which includes the weights."""
         count, points = elasticity.shape[:2]
         gradients = np.tensordot(self._barycentric_gradients[part], self._table[..., :points], (1, 0))
         strains = _strains(deformation, np.ascontiguousarray(np.moveaxis(gradients, 3, 1)))
@@ -223,18 +223,19 @@ def _add_products(
     dilational: Array,
     volumes: Array,
 ) -> None:
-    """Add the first three terms of `Tangent` and the couplings of some elements to the blocks at their places.
+    """Add the first three terms of `Tangent` and the couplings of some elements to the global blocks.
 
-    `part` are the (e,) numbers of the elements in `place`, `coupling` and `axes`, of all elements; the other arrays
-    are theirs. `table` is (3, n, _LANES), the reference gradients, `axes` (m, 3, 3), those of the reference
-    coordinates; `inverse` (e, q, 3, 3) is F^-1; weights are in the factors and in the (e, q, 4) shares of the
-    pressures. Of a pair of nodes the first in the element gets the block, `_complete` does the rest.
+    `part` (e,) numbers the elements in `place`, `coupling` and `axes`, which are those of all elements; the other
+    arrays are of these elements. `table` (3, n, _LANES) are the reference gradients, `axes` (m, 3, 3) the
+    gradients of the reference coordinates, `inverse` (e, q, 3, 3) is F^-1. The factors and the (e, q, 4) pressure
+    shares include the weights. Of a pair of nodes the one first in the element gets the block; `_complete` adds
+    the other.
 
-    No views of arrays in the inner loops: numba counts references to each, which takes longer than the products.
+    The inner loops use no views of arrays: numba's reference counts of views take longer than the products.
     """
     elements, points = crossed.shape
     width = table.shape[1]
-    # Each holds all points of one component, with zeros after the last point.
+    # all points of one component, then zeros
     pulling, stretching = np.zeros((3, 3, _LANES)), np.zeros((3, 3, _LANES))
     factors, shares = np.zeros((2, _LANES)), np.zeros((4, _LANES))
     shape = (width, 3, _LANES)
@@ -284,7 +285,7 @@ def _add_products(
 def _add_pair(
     sums: Array, at: int, a: int, b: int, stretched: Array, c: Array, d: Array, gradient: Array, s: Array
 ) -> None:
-    """Add the block of nodes a and b, by one pass over their (3, _LANES) products: written out for speed."""
+    """Add the block of nodes a and b in one pass over their (3, _LANES) products, unrolled for speed."""
     xx = xy = xz = yx = yy = yz = zx = zy = zz = scalar = 0.0
     for q in range(_LANES):
         scalar += stretched[a, 0, q] * gradient[b, 0, q] + stretched[a, 1, q] * gradient[b, 1, q]
@@ -323,8 +324,8 @@ def _add(sums: Array, place: Index, matrices: Array) -> None:
 
 @compiled
 def _complete(sums: Array, indptr: NDArray[np.int32], indices: NDArray[np.int32]) -> None:
-    """Make a matrix of (size, 3, 3) blocks symmetric: each off the diagonal gets what its mirror has as well."""
-    mirrors = indptr[:-1].copy()  # of the row under way, in each row below it: their columns are sorted
+    """Make a matrix of (size, 3, 3) blocks symmetric: each off-diagonal block is added to its mirror."""
+    mirrors = indptr[:-1].copy()  # position of the current row in each row below; columns are sorted
     for row in range(len(mirrors)):
         for at in range(indptr[row], indptr[row + 1]):
             column = indices[at]

@@ -35,7 +35,7 @@ _TOUCHING = "push it in less far, or use a larger radius or a finer mesh where i
 _REMEDY = "load the body less, or use a finer mesh where it deforms most"
 _SOFTER = 'load the body less, or bear more of its surface on soft springs (`elastic`, `direction = "full"`)'
 _SNAPS = "load the body less, or give a displacement in place of the load"
-_NO_STIFFNESS = 0.2  # of that at rest: steps of a 256th end within the root of that of a limit point
+_NO_STIFFNESS = 0.2  # of the stiffness at rest: steps of 1/256 end within the root of that of a limit point
 _TOO_SMALL = Status(
     "too-small",
     "the load strains the body by less than the rounding of its coordinates",
@@ -73,17 +73,17 @@ class Record:
             name: np.full(steps, np.nan)
             for name in ("load_factor", "substeps", "relative_residual", *sorted(outputs))
         }
-        self.states: dict[int, Substep] = {}  # what each step holds; kept where its condition is wanted
+        self.states: dict[int, Substep] = {}  # final state of each step, kept where its condition is wanted
         self._iterations = np.zeros(steps, dtype=np.int64)
         self._seconds = np.zeros(steps)
         self._status = [Status("not-reached", "an earlier load step failed", "see that step")] * steps
-        self._converged = self.newton.rest  # the last one, of any step
-        # a step under way: number, load factor, last attempt
+        self._converged = self.newton.rest  # last converged attempt, of any step
+        # current step: number, load factor, last attempt
         self._open: tuple[int, float, Substep] | None = None
         self._clock = clock()
 
     def add(self, number: int, attempt: Substep) -> None:
-        """Take in one attempt of load step `number`."""
+        """Record one attempt of load step `number`."""
         self._iterations[number] += len(attempt.residuals) - 1
         reached = self._open[1] if self._open else 0.0
         if attempt.converged:
@@ -95,7 +95,7 @@ class Record:
             self._close(number, reached, CONVERGED)
 
     def end(self) -> None:
-        """Take in that there is no further attempt: a step that was not finished has failed."""
+        """Record that no attempt follows: an unfinished step has failed."""
         if self._open:
             number, reached, attempt = self._open
             self._close(number, reached, self._failure(number, reached, attempt))
@@ -103,7 +103,7 @@ class Record:
     def solution(
         self, seconds_setup: float, parameters: dict[str, float | str], condition: Mapping[int, float]
     ) -> Solution:
-        """The whole history, with the condition in the states of some steps."""
+        """The whole history; `condition` holds the estimate at some steps."""
         for number, estimate in condition.items():
             self._scalars["condition_estimate"][number] = estimate
         return Solution(
@@ -120,7 +120,7 @@ class Record:
         )
 
     def _failure(self, number: int, reached: float, attempt: Substep) -> Status:
-        """Why a load step failed: what became of the iterations, and what the last state in equilibrium shows."""
+        """The reason why a load step failed, from its last attempt and the last equilibrium."""
         if attempt.code == _TOO_SMALL.code:
             return _TOO_SMALL
         iterations, residual = len(attempt.residuals) - 1, attempt.residuals[-1]

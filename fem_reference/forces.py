@@ -1,8 +1,8 @@
 """Given forces on the surface, as consistent forces at the nodes: resultant and moment are exact on any mesh.
 
-Each function returns (n_nodes, 3) forces for `Load.forces`; add them up for several. The shape functions of
-straight edges and flat facets reproduce linear functions, so the sums of the nodal forces and of their moments are
-those of the load to rounding. At finite strain they keep size and direction and move with their points.
+Each function returns (n_nodes, 3) forces for `Load.forces`; for several, add them up. The shape functions of
+straight edges and flat facets reproduce linear functions. The nodal forces thus have the load's resultant and
+moment, to rounding. At finite strain they keep size and direction and move with their points.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from solver_common.solution import solver_error
 
 
 def traction_forces(mesh: TetMesh, traction: ArrayLike) -> Array:
-    """Force per undeformed area in any direction: shear, or anything else.
+    """Force per undeformed area in any direction, such as shear.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def region_forces(mesh: TetMesh, facets: NDArray[np.bool_], force: ArrayLike) ->
     Raises
     ------
     SolverError
-        For no facet.
+        For an empty region.
     """
     mask = np.asarray(facets)
     if mask.shape != (len(mesh.triangles),) or mask.dtype != bool or not mask.any():
@@ -112,7 +112,7 @@ def line_forces(mesh: TetMesh, edges: ArrayLike, force: ArrayLike) -> Array:
 
 
 def _areas(mesh: TetMesh) -> Array:
-    """(F, 1) area by which a weighted sum over a facet is an integral."""
+    """(F, 1) factor that turns a weighted sum over a facet into an integral: its area."""
     return np.asarray(np.linalg.norm(mesh.area_vectors, axis=1)[:, None])
 
 

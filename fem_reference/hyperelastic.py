@@ -31,7 +31,7 @@ from solver_common.arrays import Array
 
 _I, _J = PAIRS
 _UNIT = np.eye(3)[_I, _J]
-# Exponents beyond this occur only in iterates far from equilibrium, where a finite force makes a step shorter.
+# larger exponents occur only in iterates far from equilibrium, where a finite force shortens the step
 _LARGEST_EXPONENT = 200.0
 
 
@@ -227,9 +227,9 @@ class Ogden(Hyperelastic):
 
     w = sum over p of m_p / a_p (l_1'^a_p + l_2'^a_p + l_3'^a_p - 3),   G = 1/2 sum of m_p a_p
 
-    With e_i = ln l_i', f_i = sum of m_p exp(a_p e_i) and their mean f the principal values are M_i = f_i - f and
-    S_i = M_i / l_i^2. The elasticity has their derivatives and, for the turning of the principal axes,
-    (S_i - S_j)/(l_i^2 - l_j^2).
+    With e_i = ln l_i', f_i = sum of m_p exp(a_p e_i) and their mean f, the principal values are M_i = f_i - f and
+    S_i = M_i / l_i^2. The elasticity consists of their derivatives and of (S_i - S_j)/(l_i^2 - l_j^2), for the
+    rotation of the principal axes.
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ class Ogden(Hyperelastic):
     def distortion_energy(self, k: Kinematics) -> Array:
         """(...,) w; see `Hyperelastic`."""
         e = _logarithms(np.asarray(np.linalg.eigvalsh(k.doubled_strain)), k)
-        # the logarithms sum to zero, so taking them off leaves terms of second order
+        # the logarithms sum to zero: subtracting them leaves terms of second order
         return sum(
             (m / a * less_exponential(a * e).sum(axis=-1) for m, a in self._terms()), np.zeros(e.shape[:-1])
         )
@@ -278,7 +278,7 @@ class Ogden(Hyperelastic):
         out = 2.0 * np.swapaxes(own, -1, -2) @ principal @ own
         for i, j in ((0, 1), (1, 2), (0, 2)):
             turned = 0.5 * (axes[..., _I, i] * axes[..., _J, j] + axes[..., _I, j] * axes[..., _J, i])
-            # (S_i - S_j)/(l_i^2 - l_j^2), each power by a difference that stays exact where the two are equal
+            # (S_i - S_j)/(l_i^2 - l_j^2), by divided differences that stay exact for equal stretches
             gap = np.log1p((strain[..., j] - strain[..., i]) / squares[..., i])
             ratio = sum(
                 (
@@ -299,7 +299,7 @@ def _distortions(k: Kinematics) -> tuple[Array, Array]:
     d, x = k.doubled_strain, k.dilation
     trace = np.trace(d, axis1=-2, axis2=-1)
     minors = 0.5 * (trace**2 - np.einsum("...ij,...ij->...", d, d))
-    # tr(C - I) - 2 (J - 1), where their parts of first order cancel
+    # tr(C - I) - 2 (J - 1): terms of first order cancel
     gap = np.einsum("...ij,...ij->...", k.gradient, k.gradient) - 2.0 * k.minors
     y, rest = 2.0 / 3.0 * np.log1p(x), 2.0 * less_logarithm(x)
     first = np.exp(-y) * (gap - 3.0 * less_exponential(y) + rest)

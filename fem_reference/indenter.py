@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from solver_common.arrays import Array
 from solver_common.solution import Status, solver_error
 
-COARSE = 0.1  # of the depth, that a mesh may leave the surface inside without a word
+COARSE = 0.1  # of the depth: a surface deeper inside than this share is reported
 
 
 class Shape(ABC):
@@ -85,7 +85,7 @@ class Capsule(Shape):
 
 @dataclass(frozen=True)
 class Indenter:
-    """A shape, where its tip is before it moves, and which way it is pushed.
+    """A shape, the place of its tip at rest, and the direction in which it is pushed.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class Indenter:
 
 
 def told_sunk(status: Status, inside: float, depth: float) -> Status:
-    """The status of a step, told where the surface is left inside [m] by more than `COARSE` of the depth [m]."""
+    """The status of a step, with a message if the surface is inside [m] by more than `COARSE` of the depth [m]."""
     if not status.ok or inside <= COARSE * abs(depth):
         return status
     message = f"the surface is up to {1e3 * inside:.2g} mm inside the indenter"

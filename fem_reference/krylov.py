@@ -1,6 +1,6 @@
 """Restarted GMRES with a fixed right preconditioner, which minimises the true residual.
 
-Method: modified Gram-Schmidt and Givens rotations. Order: exact to the tolerance that is asked for.
+Method: modified Gram-Schmidt and Givens rotations. Order: exact to the requested tolerance.
 Source: Saad and Schultz 1986, doi 10.1137/0907058.
 """
 
@@ -38,8 +38,7 @@ def gmres(
     target = tolerance * float(np.linalg.norm(rhs))
     x = start
     done = 0
-    # The vectors are too short for threads to help, and on a busy machine threads that wait for each other make
-    # the same solve many times slower.
+    # one thread: the vectors are too short for more, and on a busy machine waiting threads are many times slower
     with _threads().limit(limits=1, user_api="blas"):
         while done < max_iterations:
             residual = rhs - apply(x)
@@ -98,9 +97,9 @@ def _cycle(
 
 
 def independent_columns(columns: Array, tolerance: float) -> tuple[NDArray[np.int64], Array]:
-    """A subset of the columns that spans the rest, and the coefficients that do it.
+    """A subset of the columns that spans the others, and the coefficients.
 
-    A load history is mostly one load times a factor: solving the subset is then enough.
+    A load history is mostly one load times a factor: solving for the subset is then enough.
 
     Returns
     -------

@@ -1,7 +1,8 @@
 """Small-strain elasticity on tetrahedra, for every Poisson ratio in (-1, 0.5], 0.5 included: the fast path.
 
-Method: mixed displacement-pressure form, Taylor-Hood element; per shear modulus and mean edge, so that Young's
-modulus is no part of the system; sparse LDL^T or preconditioned GMRES. It is held to `fem_reference.plain_linear`.
+Method: mixed displacement-pressure form, Taylor-Hood element; scaled by shear modulus and mean edge, so that the
+system does not contain Young's modulus; sparse LDL^T or preconditioned GMRES. `fem_reference.plain_linear`
+verifies it.
 Order: 3 in displacement, 2 in strain and pressure (L2).
 Source: Hughes, The Finite Element Method, section 4.3.
 """
@@ -49,12 +50,12 @@ ELEMENTS = {"P2-P1": (2, True), "P2": (2, False), "P1": (1, False)}
 
 @dataclass(frozen=True)
 class Fields:
-    """Nodal fields of S steps; those of a step, flat, are dof vectors of `fem_reference.mesh.TetMesh.bases`.
+    """Nodal fields of S steps; a flat field of one step is a dof vector of `fem_reference.mesh.TetMesh.bases`.
 
     Attributes
     ----------
     displacement : (S, n_nodes, 3) [m]
-    pressure : (S, n_pressures) p = -lambda div u at the vertices, of each part its own where parts meet (see
+    pressure : (S, n_pressures) p = -lambda div u at the vertices, one for each part where parts meet (see
         `fem_reference.mesh.TetMesh`); (S, 0) for a displacement element [Pa]
     reaction : (S, n_nodes, 3) force of supports and springs on the body [N]
     residual : (S,) true relative residual of the scaled system
@@ -75,7 +76,7 @@ def _combination(values: Array, coefficients: Array) -> Array:
 
 
 def _works(forces: Array, displacement: Array, coefficients: Array) -> Array:
-    """(S,) works of combined forces on the displacement combined alike, of (r, n, 3) with coefficients (r, S)."""
+    """(S,) work of forces (r, n, 3) on displacements (r, n, 3), both combined with the coefficients (r, S)."""
     works = forces.reshape(len(forces), -1) @ displacement.reshape(len(displacement), -1).T
     return np.einsum("as,as->s", coefficients, works @ coefficients)
 
@@ -93,9 +94,9 @@ class LinearProblem:
     points, tetrahedra, surface_nodes, triangles : see `fem_reference.mesh.TetMesh`
     youngs_modulus : of the isotropic part, one number or one per tetrahedron [Pa], positive
     poisson_ratio : of the isotropic part, in (-1, 0.5], below 0.5 for "P2" and "P1"; or (m,) in (0, 0.5]
-    parts : (m,) number of the part of each tetrahedron: the pressure may jump between parts, as where moduli do
+    parts : (m,) number of each tetrahedron's part: the pressure may jump between parts, as where moduli jump
     elastic_supports : springs under parts of the surface
-    cavities : (F, k) facets of the walls of cavities that an incompressible fluid fills: each keeps its volume
+    cavities : (F, k) facets of the walls of cavities filled with an incompressible fluid: each keeps its volume
     density : [kg/m^3]
     held : (N,) surface nodes whose displacement is given, or (N, 3) single components of them (rollers)
     solver : "auto" chooses by size, `expected_loads` and memory; "direct" or "iterative" insist
@@ -185,9 +186,9 @@ class LinearProblem:
         return condition_estimate(self.system, self.solver)
 
     def solve(self, loads: Sequence[Load], outputs: frozenset[str] = frozenset()) -> Solution:
-        """Solve one step per load; loads that are combinations of others are combined from their solutions.
+        """Solve one step per load; linear combinations of other loads are combined from their solutions.
 
-        `seconds_per_step` is what the first takes, solved alone; those after it are solved in batches.
+        `seconds_per_step` is the time of the first load, solved alone; the others are solved in batches.
 
         Parameters
         ----------
@@ -203,7 +204,7 @@ class LinearProblem:
         check_outputs(outputs, OUTPUTS)
         check_loads(self.mesh, loads)
         chosen, coefficients = independent_loads(loads)
-        if not len(chosen):  # no load at all: one solve of nothing
+        if not len(chosen):  # all loads are zero: solve one of them
             chosen, coefficients = np.zeros(1, dtype=np.int64), np.zeros((1, len(loads)))
         basis = [loads[k] for k in chosen]
         forces, fields = self._solve_some(basis[:1])
@@ -227,8 +228,8 @@ class LinearProblem:
     ) -> Solution:
         """The S steps that are combinations of r solved ones, with coefficients (r, S).
 
-        What is linear is combined at the surface only, what is a work from the r x r works of one step's forces on
-        another's displacement. A combination has the largest residual and the iterations of all that are in it.
+        Linear results are combined at the surface only. Works come from the r x r works of each step's forces on
+        each displacement. A combination has the largest residual and iteration count of its terms.
         """
         part_of = coefficients != 0.0
         residual = np.where(part_of, fields.residual[:, None], 0.0).max(axis=0)
@@ -255,7 +256,7 @@ class LinearProblem:
     def _strain_outputs(self, fields: Fields, coefficients: Array, names: frozenset[str]) -> dict[str, Array]:
         if not names:
             return {}
-        # all steps at once can be many times the memory of those that were solved
+        # in batches: all steps at once can take many times the memory of the solved ones
         parts = [coefficients[:, first : first + BATCH] for first in range(0, coefficients.shape[1], BATCH)]
         found = [strain_outputs(self.mesh, _combination(fields.displacement, part), names) for part in parts]
         return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
@@ -279,7 +280,7 @@ class LinearProblem:
         scaled_forces = forces / force_unit
         scaled_given = prescribed / length
         rhs = self.system.right_hand_side(scaled_forces, scaled_given)
-        # each by its largest entry: the square of a load of 1e-170 is none, and 32 bits end at 1e-38
+        # scaled by the largest entry: the square of 1e-170 underflows, and 32 bits end at 1e-38
         largest = np.abs(rhs).max(axis=0, initial=0.0)
         unit = np.where(largest > 0.0, largest, 1.0)
         solved = self.solver.solve(rhs / unit)
@@ -300,9 +301,9 @@ class LinearProblem:
 
     @cached_property
     def _fluid(self) -> tuple[Array, Array, Array, Array]:
-        """Of a unit pressure in each filled cavity, scaled: forces, displacement, pressure, work (k, k).
+        """Scaled forces, displacement, pressure and work (k, k) of a unit pressure in each filled cavity.
 
-        The forces are the gradient of the cavity's volume too.
+        The forces are also the gradient of the cavity's volume.
         """
         nothing = np.zeros((len(self._cavities.T), self.mesh.n_nodes, 3))
         pushes = cavity_forces(self.mesh, self._cavities) / self.mesh.mean_edge**2

@@ -1,4 +1,4 @@
-"""Sparse solvers for the scaled system, and the choice between them, in one place.
+"""Sparse solvers for the scaled system, and the choice between them.
 
 Method: LDL^T in single precision with iterative refinement, or GMRES with a block-triangular preconditioner. Order:
 exact to the tolerance of each, 1e-9 and 1e-8 of the true residual, which is checked. Source: Higham, Accuracy and
@@ -28,15 +28,15 @@ from solver_common.solution import solver_error
 
 Made = TypeVar("Made")
 SOLVERS = ("auto", "direct", "iterative")
-BATCH = 32  # right-hand sides per triangular solve: beyond it a single one gets no cheaper
-# From this many on, a factor in double precision (twice the time and memory) saves more than it costs: one solve
-# and one residual per right-hand side in place of three of each.
+BATCH = 32  # right-hand sides per triangular solve: larger batches are no faster
+# from this many loads on, a factor in double precision (twice the time and memory) pays: one solve and one residual
+# per right-hand side instead of three
 _MANY_LOADS = 8 * BATCH
 DIRECT_TOLERANCE = 1e-9
 ITERATIVE_TOLERANCE = 1e-8
 _REFINED = 1e-12
 _MAX_REFINEMENTS = 6
-# GMRES stops below the tolerance that is promised: reactions balance the load only as well as the residual.
+# GMRES stops below the promised tolerance: reactions balance the load only as well as the residual
 _GMRES_TARGET = 1e-9
 _MAX_ITERATIONS = 400
 
@@ -61,7 +61,7 @@ class Solver(Protocol):
     """A system ready to be solved for many right-hand sides.
 
     `reason` says why it was chosen, `tolerance` is the relative residual that counts as converged,
-    `estimated_bytes` what it was expected to need and `library` which one factorised, "none" for none.
+    `estimated_bytes` its expected memory, and `library` the one that factorised, or "none".
     """
 
     name: str
@@ -78,9 +78,9 @@ class Solver(Protocol):
 class DirectSolver:
     """A sparse factor of the symmetric indefinite system, with iterative refinement on the true residual.
 
-    The factor is stored in single precision: half the memory and half the time, and two steps of refinement
-    bring the residual to rounding in double precision. Where they do not, the factor is made anew in double; for
-    many `loads` it is made so at once where it fits.
+    The factor is in single precision: half the memory and half the time. Two steps of refinement bring the
+    residual to rounding in double precision. Where they do not, the matrix is factored again in double precision.
+    For many `loads` that is done at once, where it fits.
 
     Raises
     ------
@@ -115,7 +115,7 @@ class DirectSolver:
 
     @property
     def n_negative(self) -> int:
-        """How many eigenvalues of the system are negative, by the signs of its pivots (Sylvester's law)."""
+        """Number of negative eigenvalues of the system, from the signs of its pivots (Sylvester's law)."""
         return self._factor.inertia[1]
 
     def _factorise(self, precision: str, matrix: csc_array) -> None:
@@ -156,7 +156,7 @@ class IterativeSolver:
         self._precondition = BlockPreconditioner(system)
 
     def solve(self, rhs: Array) -> Solved:
-        """Solve for each; see `Solver`."""
+        """Solve one after another; see `Solver`."""
         x = np.empty_like(rhs)
         iterations = np.zeros(rhs.shape[1], dtype=np.int64)
         for column in range(rhs.shape[1]):
@@ -205,7 +205,7 @@ class IterativeThenDirect:
 
 
 def relative_residual(system: LinearSystem, x: Array, rhs: Array) -> Array:
-    """(S,) norm(rhs - K x) / norm(rhs), zero where both are."""
+    """(S,) norm(rhs - K x) / norm(rhs), zero where both norms are."""
     scale = np.linalg.norm(rhs, axis=0)
     difference = np.linalg.norm(rhs - system.apply(x), axis=0)
     return np.asarray(difference / np.where(scale > 0.0, scale, 1.0))
@@ -250,15 +250,15 @@ def chosen(
     memory_limit: float | None,
     make: dict[str, Callable[[str], Made]],
 ) -> Made:
-    """What is made on the path that is `requested` or, for "auto", on the faster one that fits into memory.
+    """Make the `requested` path or, for "auto", the faster one that fits into memory.
 
     Parameters
     ----------
     requested : one of `SOLVERS`
     costs : by name of the path
-    task : in words, for the reason of the choice
+    task : in words, for the reason
     memory_limit : bytes; None for what is available
-    make : by name of the path, given the reason
+    make : by name of the path; takes the reason
 
     Raises
     ------

@@ -20,11 +20,11 @@ from solver_common.solution import solver_error
 _bad_load = partial(solver_error, "bad-load")
 _bad_support = partial(solver_error, "bad-support")
 _not_held = partial(solver_error, "not-held")
-# what a load may differ from a combination of others, of its norm
+# largest remainder of a combination of loads, relative to the load's norm
 _DEPENDENT = 1e-13
-# what a load may differ from a multiple of another, of its largest value: rounding, and no more
+# largest difference from a multiple of a load, relative to its largest value: rounding
 _SAME = 1e-14
-# of any number in a load: the square of its response can still be formed
+# largest number in a load: the square of its response does not overflow
 _LARGEST = 1e100
 
 
@@ -70,9 +70,9 @@ def check_loads(mesh: TetMesh, loads: Sequence[Load]) -> None:
 
 
 def loads_at(mesh: TetMesh, depths: Sequence[float], load: Load | Sequence[Load] | None) -> list[Load]:
-    """What else acts at each depth of an indenter: nothing, one load at all of them, or one for each.
+    """All other loads at each depth of an indenter: none, one load for all, or one for each.
 
-    Raises a `SolverError` for depths that are none or not finite, and for more loads or fewer.
+    Raises a `SolverError` for depths that are missing or not finite, and for a wrong number of loads.
     """
     if not len(depths) or not np.isfinite(depths).all():
         raise _bad_load(f"the depths are {list(depths)}", "give one finite number of metres or more")
@@ -116,12 +116,12 @@ def nodal_forces(mesh: TetMesh, loads: Sequence[Load], density: float) -> Array:
 
 
 def check_cavities(mesh: TetMesh, cavities: ArrayLike | None) -> Mask:
-    """(F, k) facets of the walls of k cavities, none where None is given.
+    """(F, k) facets of the walls of k cavities; k is 0 for None.
 
     Raises
     ------
     SolverError
-        another array than a mask of the facets, a wall that is not closed.
+        another array than a mask of the facets, or a wall that is not closed.
     """
     count = len(mesh.triangles)
     walls = np.zeros((count, 0), dtype=bool) if cavities is None else np.asarray(cavities)
@@ -145,7 +145,7 @@ def cavity_forces(mesh: TetMesh, cavities: Mask) -> Array:
 def held_nodes(mesh: TetMesh, held: Mask, springs: Springs | None = None) -> Mask:
     """(n_nodes, 3) held components of all nodes from the (N,) or (N, 3) mask of the surface nodes.
 
-    The middle of an edge is held where the edge belongs to a facet whose three vertices all are.
+    An edge's middle is held where a facet of the edge has three held vertices.
 
     Raises
     ------
@@ -183,19 +183,19 @@ def prescribed_nodes(mesh: TetMesh, loads: Sequence[Load]) -> Array:
 
 
 def independent_loads(loads: Sequence[Load]) -> tuple[NDArray[np.int64], Array]:
-    """Some of the loads, of which all are combinations: what is linear needs the solutions of these only.
+    """A subset of the loads with all others as combinations: linear results need only its solutions.
 
     Returns
     -------
     chosen : (r,) ascending numbers of loads
     coefficients : (r, S); load s is the sum over k of coefficients[k, s] times load chosen[k], to rounding
     """
-    # histories and sweeps are mostly runs of multiples, which are cheaper to tell than combinations
+    # histories and sweeps are mostly runs of multiples, which are cheaper to find than combinations
     size = max((np.size(load.forces) for load in loads if load.forces is not None), default=0)
     first, share = _runs_of_multiples([_kinds(load, size) for load in loads])
     heads, run = np.unique(first, return_inverse=True)
     parts = [np.array(part) for part in zip(*(_kinds(loads[k], size) for k in heads), strict=True)]
-    # pressures, lengths and accelerations side by side: each kind in units of its largest value
+    # pressures, lengths and accelerations side by side, each kind in units of its largest value
     kinds = [part[:, part.any(axis=0)] / np.abs(part).max() for part in parts if part.any()]
     if not kinds:
         return np.zeros(0, dtype=np.int64), np.zeros((0, len(loads)))
@@ -213,7 +213,7 @@ def _kinds(load: Load, size: int) -> tuple[Array, ...]:
 
 
 def _runs_of_multiples(loads: Sequence[tuple[Array, ...]]) -> tuple[NDArray[np.int64], Array]:
-    """For each load the first of its run, the load itself where none is, and how much of that it is."""
+    """For each load the first of its run of multiples, and the factor; a load without a run is its own first."""
     first, share = np.arange(len(loads)), np.ones(len(loads))
     for k in range(1, len(loads)):
         found = _multiple_of(loads[first[k - 1]], loads[k])
@@ -223,13 +223,13 @@ def _runs_of_multiples(loads: Sequence[tuple[Array, ...]]) -> tuple[NDArray[np.i
 
 
 def _multiple_of(load: Sequence[Array], other: Sequence[Array]) -> float | None:
-    """c where the other load is c times this one, each kind of it to rounding; None where it is not.
+    """The factor c where `other` is c times `load`, to rounding in each kind; None where it is not.
 
     Parameters
     ----------
     load, other : arrays of as many kinds, such as pressures and displacements, of one shape each
     """
-    places = [np.flatnonzero(part) for part in load]  # of most loads few
+    places = [np.flatnonzero(part) for part in load]  # usually few
     parts = [part.ravel()[place] for part, place in zip(load, places, strict=True)]
     others = [part.ravel()[place] for part, place in zip(other, places, strict=True)]
     kind = next((kind for kind, place in enumerate(places) if len(place)), None)
@@ -238,7 +238,7 @@ def _multiple_of(load: Sequence[Array], other: Sequence[Array]) -> float | None:
     ):
         return None
     largest = np.abs(parts[kind]).argmax()
-    with np.errstate(over="ignore", invalid="ignore"):  # a multiple that is no number is none
+    with np.errstate(over="ignore", invalid="ignore"):  # a factor that is not finite counts as no multiple
         share = float(others[kind][largest] / parts[kind][largest])
         for part, there in zip(parts, others, strict=True):
             gap = np.abs(there - share * part).max(initial=0.0)
@@ -248,7 +248,7 @@ def _multiple_of(load: Sequence[Array], other: Sequence[Array]) -> float | None:
 
 
 def gather_to_vertices(mesh: TetMesh, nodal: Array) -> Array:
-    """(S, N, 3) sums at surface vertices of (S, n_nodes, 3), half of an edge's value to each of its ends."""
+    """(S, N, 3) sums at surface vertices of (S, n_nodes, 3); an edge's value goes half to each end."""
     out = np.array(nodal[:, mesh.surface_nodes])
     halves = 0.5 * nodal[:, mesh.surface_edge_nodes]
     for end in range(2):
@@ -277,7 +277,7 @@ def _check_rigid_motion(mesh: TetMesh, held: Mask, springs: Springs | None) -> N
 
 
 def _rigid_rank(points: Array, rows: Array) -> int:
-    """Rank of the six rigid motions seen in (k, 3, 3) directions at (k, 3) points, measured in their own spread."""
+    """Rank of the six rigid motions along (k, 3, 3) directions at (k, 3) points, scaled by their spread."""
     if not len(points):
         return 0
     x = points - points.mean(axis=0)

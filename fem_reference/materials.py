@@ -5,8 +5,8 @@ field, lambda = 2 G nu / (1 - 2 nu). Every law is used in the two-field form
 
     Psi(F, p) = W(F) - p (J - 1) - p^2 / (2 lambda),    so that p = -lambda (J - 1) holds weakly,
 
-which is finite for every Poisson ratio in (-1, 0.5] and whose small-strain limit is stress = 2 G eps - p I with
-p = -lambda div u, the linear element's. A law gives W and what follows from W - p (J - 1); it takes H instead of F,
+It is finite for every Poisson ratio in (-1, 0.5]. Its small-strain limit is the linear element's, stress = 2 G
+eps - p I with p = -lambda div u. A law gives W and the derivatives of W - p (J - 1). It takes H instead of F,
 because F - I and J - 1 by subtraction would lose the digits of small strains.
 """
 
@@ -24,7 +24,7 @@ from fem_reference.kinematics import PAIRS, Kinematics, Law, Tangent, less_logar
 from solver_common.arrays import Array
 from solver_common.solution import solver_error
 
-# Each material with its parameters: numbers without a unit, in sums that are one where the moduli add up to G.
+# each material with its dimensionless parameters; sums are one where the moduli add up to G
 PARAMETERS: dict[str, tuple[str, ...]] = {
     "neo-hookean": (),
     "transversely-isotropic": (),

@@ -1,4 +1,4 @@
-"""How much memory a solver may take."""
+"""The memory that a solver may take."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from solver_common.solution import solver_error
 
 
 def available_memory() -> float:
-    """Bytes this process can still take: what the machine has left, or less where a limit is set [B]."""
+    """Bytes that this process can still take: what the machine has left, or less under a limit [B]."""
     page = os.sysconf("SC_PAGE_SIZE")
     available = float(os.sysconf("SC_PHYS_PAGES") * page)
     try:
@@ -21,7 +21,7 @@ def available_memory() -> float:
                     available = min(available, 1024.0 * float(line.split()[1]))
         with open("/proc/self/statm", encoding="ascii") as statm:
             used = float(statm.read().split()[0]) * page
-    except OSError:  # not Linux: the physical memory is the bound that is left
+    except OSError:  # not Linux: the physical memory is the only known bound
         return available
     for kind, taken in ((resource.RLIMIT_AS, used), (resource.RLIMIT_DATA, _data_bytes())):
         limit, _ = resource.getrlimit(kind)
@@ -32,7 +32,7 @@ def available_memory() -> float:
 
 @contextmanager
 def reserved_not_counted() -> Iterator[None]:
-    """What is reserved inside does not count against the limit of this process's data (RLIMIT_DATA)."""
+    """Memory reserved inside the block does not count against the process's data limit (RLIMIT_DATA)."""
     limit, hard = resource.getrlimit(resource.RLIMIT_DATA)
     if limit == hard:
         yield
@@ -49,7 +49,7 @@ def reserved_not_counted() -> Iterator[None]:
 
 
 def _data_bytes() -> int:
-    """Private data of this process, touched or not (VmData), which Linux holds against RLIMIT_DATA."""
+    """Private data of this process, touched or not (VmData); Linux limits it by RLIMIT_DATA."""
     try:
         with open("/proc/self/status", encoding="ascii") as lines:
             return sum(1024 * int(line.split()[1]) for line in lines if line.startswith("VmData:"))
@@ -58,7 +58,7 @@ def _data_bytes() -> int:
 
 
 def allowed_memory(limit: float | None) -> float:
-    """The limit, or what is available now where there is none [B]."""
+    """The limit, or without one what is available now [B]."""
     return available_memory() if limit is None else limit
 
 

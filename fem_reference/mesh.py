@@ -1,4 +1,4 @@
-"""Arrays to a checked tetrahedral mesh with scikit-fem's P1 or P2 node numbering and the map to its surface."""
+"""A checked tetrahedral mesh with scikit-fem's P1 or P2 node numbering and the map to its surface."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class TetMesh:
     Attributes
     ----------
     order : 1 or 2
-    pressure_elements : (m, 4) numbers of the P1 pressures of each tetrahedron: the vertices', but each part has
-        its own where parts meet
+    pressure_elements : (m, 4) numbers of the P1 pressures of each tetrahedron: one per vertex, and one per part
+        where parts meet
     pressure_vertices : (n_pressures,) the vertex of each pressure
     element_nodes : (m, 4 or 10) node numbers
     volumes : (m,) [m^3]
@@ -94,7 +94,7 @@ class TetMesh:
 
     @cached_property
     def pressure_mesh(self) -> MeshTet:
-        """scikit-fem's mesh of the same tetrahedra, cut open between parts: its vertices carry the pressures."""
+        """scikit-fem's mesh of the same tetrahedra, cut open between parts; its vertices carry the pressures."""
         points, elements = self.points[self.pressure_vertices], self.pressure_elements
         return MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(elements.T.astype(np.int32)))
 
@@ -140,9 +140,10 @@ class TetMesh:
         return int(count), np.asarray(labels, dtype=np.int64)
 
     def bases(self, intorder: int = 2) -> tuple[Basis, Basis]:
-        """scikit-fem's bases of displacement and pressure, for forms of one's own.
+        """scikit-fem's bases of displacement and pressure, for custom forms.
 
-        An (n_nodes, 3) nodal field, flat, is a dof vector of the first, (n_pressures,) pressures one of the second.
+        A flat nodal field (n_nodes, 3) is a dof vector of the first; pressures (n_pressures,) are one of the
+        second.
 
         Parameters
         ----------
@@ -215,8 +216,8 @@ class TetMesh:
         corners = self.points[self.surface_nodes[self.triangles]]
         area = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         enclosed = np.einsum("fi,fi->", area, corners.mean(axis=1)) / 3.0
-        # A closed surface has no net area vector. Outward, it encloses what the tetrahedra fill; that sum is
-        # taken about the origin, so its tolerance grows with the distance from it.
+        # A closed surface has no net area vector. An outward one encloses the volume of the tetrahedra; that sum
+        # is about the origin, so that its tolerance grows with the distance from it.
         total = np.linalg.norm(area, axis=1).sum()
         if np.linalg.norm(area.sum(axis=0)) > 1e-10 * total:
             raise _bad_mesh("the triangles leave a hole", "give the whole boundary of the tetrahedra")

@@ -45,7 +45,7 @@ def make_moduli(mesh: TetMesh, youngs_modulus: ArrayLike, poisson_ratio: ArrayLi
     Raises
     ------
     SolverError
-        For moduli that no element, or not this one, can take.
+        For moduli that this element cannot take.
     """
     young, nu = (np.asarray(values, dtype=np.float64) for values in (youngs_modulus, poisson_ratio))
     for name, values in (("youngs_modulus", young), ("poisson_ratio", nu)):
@@ -85,7 +85,7 @@ def check_density(density: float) -> None:
 
 
 def check_fibres(moduli: Moduli) -> None:
-    """Raise a `SolverError` for a body whose fibres would need a stiffness of their own in each tetrahedron."""
+    """Raise a `SolverError` for fibres in a body whose Poisson's ratio varies."""
     if moduli.poisson_ratios is not None:
         raise _bad_material(
             "a body with fibres has one poisson_ratio", "give one number, or leave the fibres out"

@@ -1,11 +1,10 @@
 """The preconditioner of the iterative path: block triangular, with p-multigrid for the displacement block.
 
-Method: P2 is smoothed by Chebyshev iteration on 3x3 block Jacobi and corrected on P1, which is a subspace of P2 on
-the same mesh: prolongation is interpolation, restriction its transpose, the coarse matrix their product with the
-fine one. P1 is left to one V-cycle of smoothed
-aggregation with the rigid motions as near-null space. Order: the iterations hardly grow with size or Poisson ratio.
-Source: Elman, Silvester and Wathen, Finite Elements and Fast Iterative Solvers, chapter 4; Vanek, Mandel and
-Brezina 1996, doi 10.1007/BF02238511.
+Method: Chebyshev iteration on 3x3 block Jacobi smooths P2. The correction is on P1, a subspace of P2 on the same
+mesh: prolongation is interpolation, restriction its transpose, and the coarse matrix is their product with the
+fine one. P1 is solved by one V-cycle of smoothed aggregation with the rigid motions as near-null space. Order:
+the number of iterations hardly grows with size or Poisson ratio. Source: Elman, Silvester and Wathen, Finite
+Elements and Fast Iterative Solvers, chapter 4; Vanek, Mandel and Brezina 1996, doi 10.1007/BF02238511.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ _MASS_BOUNDS = (0.5, 2.5)  # of the P1 tetrahedral mass matrix over its diagonal
 class BlockSmoother:
     """Chebyshev steps for D^-1 A, D the 3x3 diagonal blocks of A (Saad, Iterative Methods, alg. 12.1).
 
-    Blocks are kept in single precision, half as much to read: a preconditioner need not be exact, but linear, which
-    it would not be with rounded vectors.
+    Blocks are in single precision, half as much to read. A preconditioner need not be exact, but it must be
+    linear: vectors are therefore in double precision.
     """
 
     def __init__(self, matrix: bsr_array) -> None:
@@ -46,7 +45,7 @@ class BlockSmoother:
         self._half = 0.5 * (high - high / _SMOOTHED_SHARE)
 
     def first(self, rhs: Array) -> Array:
-        """One step from zero towards A x = rhs, which reads no matrix."""
+        """One step from zero towards A x = rhs; reads no matrix."""
         x = np.zeros_like(rhs)
         _advance(*self._matrix, None, rhs, x, 0.0, 1.0 / self._middle)
         return x
@@ -89,9 +88,9 @@ def _advance(
     kept: float,
     gain: float,
 ) -> Array:
-    """After a step was taken (None: nowhere) update the residual, find the next one and take that as well.
+    """Update the residual after a step (None for no step), then compute and take the next step.
 
-    It is kept * step + gain * D^-1 residual.
+    The next step is kept * step + gain * D^-1 residual.
     """
     following = np.empty_like(x)
     for row in range(len(rows) - 1):
@@ -148,7 +147,7 @@ class DisplacementPreconditioner:
             strength=("symmetric", {"theta": 0.0}),
             presmoother=smoother,
             postsmoother=smoother,
-            # rows over the sum of their sizes have eigenvalues up to 1, which need no estimate from a random start
+            # rows over the sums of their absolute values: eigenvalues up to 1, without a random estimate
             smooth=("jacobi", {"omega": 2.0, "weighting": "local"}),
             max_coarse=_COARSEST,
         )
@@ -168,10 +167,10 @@ class DisplacementPreconditioner:
 
 
 class BlockPreconditioner:
-    """Upper block triangular: the pressure by its mass matrix first, then the displacement.
+    """Upper block triangular: first the pressure by its mass matrix, then the displacement.
 
-    The Schur complement of the pressure is close to a multiple of the mass matrix: a gradient field, which is
-    what a pressure drives, meets twice the shear modulus.
+    The pressure's Schur complement is close to a multiple of the mass matrix: a pressure drives a gradient field,
+    which meets twice the shear modulus.
     """
 
     def __init__(self, system: LinearSystem) -> None:
@@ -207,7 +206,7 @@ class BlockPreconditioner:
 
 
 def _prolongation(mesh: TetMesh, kept: Index, vertices: Index) -> csr_array:
-    """(K, kept vertices) scalar P1 to P2 interpolation."""
+    """(K, kept vertices) scalar interpolation from P1 to P2."""
     n, ends = mesh.n_vertices, mesh.edge_vertices
     edges = np.repeat(n + np.arange(len(ends)), 2)
     rows = np.concatenate([np.arange(n), edges])
@@ -245,8 +244,8 @@ def _add_restricted(
     parents_from: NDArray[np.int32],
     parents: NDArray[np.int32],
 ) -> None:
-    """Add the (k, 3, 3) blocks of A to those of P^T A P: three times as fast as products of block matrices."""
-    where = np.zeros(len(sum_rows) - 1, dtype=np.int64)  # of each column in one row of the sums
+    """Add the (k, 3, 3) blocks of A to P^T A P, three times as fast as by products of block matrices."""
+    where = np.zeros(len(sum_rows) - 1, dtype=np.int64)  # place of each column in one row of the sums
     for row in range(len(rows) - 1):
         for a in range(parents_from[row], parents_from[row + 1]):
             for place in range(sum_rows[parents[a]], sum_rows[parents[a] + 1]):

@@ -1,8 +1,9 @@
 """Newton's method along a load path for the mixed finite-strain problem, in the scaled units of `system`.
 
-Method: consistent unsymmetric tangent, inexact linear solves, substeps that are halved where they fail and doubled
-where they are easy. Order: 2 in the iterations; a tangent that will do once more is kept, which makes that step
-linear. Source: Bonet and Wood, 2nd ed., chapter 9; forcing after Eisenstat and Walker 1996, doi 10.1137/0917003.
+Method: consistent unsymmetric tangent, inexact linear solves, substeps that are halved on failure and doubled
+where convergence is easy. Order: 2 in the iterations; a tangent that is good enough for one more step is kept,
+which makes that step linear. Source: Bonet and Wood, 2nd ed., chapter 9; forcing after Eisenstat and Walker 1996,
+doi 10.1137/0917003.
 """
 
 from __future__ import annotations
@@ -26,16 +27,16 @@ from solver_common.progress import Progress, tell
 from solver_common.quadrature import facet_quadrature
 from solver_common.substeps import Substeps
 
-_FAST = 0.1  # of the residual: an iteration that leaves no more is not the last
+_FAST = 0.1  # an iteration that reduces the residual at least to this share is not the last
 _EASY = 5  # Newton iterations after which the next substep may be longer
-# Newton far from its goal may raise the residual, but one that keeps doing so may end on another branch.
+# far from the solution Newton may raise the residual; repeated rises may lead to another branch
 _MOST_RISES = 2
-_ROUNDING = 4e-15  # of a displacement gradient, with room
-# Of a load, what may be left of it where it is so small that rounding decides when to stop.
+_ROUNDING = 4e-15  # of a displacement gradient, with a margin
+# largest remainder of a load that is so small that rounding decides when to stop
 _LEFT = 1e-3
-# A linear solve need not be more exact than the quadratic model it serves.
+# a linear solve need not be more exact than the quadratic model
 _LEAST_FORCING, _MOST_FORCING = 1e-10, 1e-2
-_INVERSE_ITERATIONS, _INVERSE_TOLERANCE = 8, 1e-6  # for an eigenvalue of which one digit is told
+_INVERSE_ITERATIONS, _INVERSE_TOLERANCE = 8, 1e-6  # for an eigenvalue that is reported to one digit
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class ScaledLoad:
 
     @property
     def size(self) -> float:
-        """Its Euclidean norm."""
+        """Euclidean norm of the load."""
         return float(np.sqrt(sum(np.vdot(part, part) for part in (self.pressure, self.forces, self.given))))
 
     def towards(self, other: ScaledLoad, share: float) -> ScaledLoad:
@@ -94,9 +95,9 @@ class Substep:
 
     Attributes
     ----------
-    load_factor : share of the load step that was tried
-    load : at that share
-    state : the converged state; that before the attempt where it failed
+    load_factor : share of the load step that was attempted
+    load : load at that share
+    state : the converged state; after a failure the one before the attempt
     reaction : (n_nodes, 3) force of supports and springs on the body, scaled
     external : (n_nodes, 3) applied forces, scaled
     residuals : relative residual before each Newton iteration, and after the last
@@ -121,10 +122,10 @@ class Substep:
 @dataclass(frozen=True)
 class _Residual:
     vector: Array
-    linear: Array  # by the linear model of contact, whose points may pull
+    linear: Array  # residual by the linear model of contact, whose points may pull
     relative: float
-    unsettled: float  # the same by the iteration's pressures, or how far points are from where these press
-    scale: float  # of the forces in it
+    unsettled: float  # relative, by the iteration's pressures, or how far points are from where these press
+    scale: float  # of the forces in the residual
     reaction: Array
     external: Array
     least_determinant: float
@@ -143,11 +144,11 @@ class Newton:
     assembly : element forces and tangents
     follower : the pressure on the deformed surface
     solver : of the linear systems
-    max_newton : iterations after which a substep has failed, unless the last one was fast
+    max_newton : iterations before a substep fails, unless the last one was fast
     tolerance : of the residual, relative to the internal forces
-    cavities : (F, k) facets of the walls of cavities that a fluid fills
+    cavities : (F, k) facets of the walls of fluid-filled cavities
     contact : of an indenter, while there is one
-    place : load step under way and their number, which are told with the progress
+    place : current load step and number of steps, for the progress report
     """
 
     system: LinearSystem
@@ -179,12 +180,11 @@ class Newton:
         return Substep(0.0, unloaded, state, nothing, nothing, (0.0,), "converged")
 
     def follow(self, state: State, start: ScaledLoad, end: ScaledLoad) -> Iterator[Substep]:
-        """Go from one load to another in substeps as long as convergence allows.
+        """Go from one load to another, in substeps as long as convergence allows.
 
-        Every attempt is yielded; the last one either reaches load factor one or has failed. Where a substep
-        heads for J = 0 short of a load at which an element turned inside out, that load is tried at once, and is
-        the last if it fails again. A failure from the start does not count: such loads are reached in shorter
-        substeps.
+        Yields every attempt; the last one reaches load factor one or fails. An element may turn inside out at
+        some load, and a later substep may head for J = 0 before it. That load is then tried at once; if it fails
+        again, it is the last attempt. Failures from the start do not count: shorter substeps reach such loads.
         """
         substeps, wall, ends = Substeps(), 0.0, False
         while substeps.reached < 1.0:
@@ -204,18 +204,18 @@ class Newton:
                 wall = target
 
     def _turns_inside_out(self, before: State, state: State, ahead: float) -> bool:
-        """Whether the least volume ratio J is gone after `ahead` more steps as that between two states."""
+        """Whether `ahead` more steps like that between two states would reduce the least volume ratio J to zero."""
         old, new = (self.assembly.least_volume_ratio(one.displacement)[0] for one in (before, state))
         return new <= ahead * (old - new)
 
     def _is_unstable(self, failed: Substep) -> bool:
-        """Whether the surface or the tangent before a failed substep is unstable: shorter ones do not help."""
+        """Whether surface or tangent is unstable before a failed substep, so that shorter substeps do not help."""
         mesh = self.system.mesh
-        if failed.code == "passed":  # a shorter way of the indenter may touch the surface
+        if failed.code == "passed":  # with a shorter step the indenter may touch the surface
             return False
         crumpled = most_compressed(mesh, failed.state.displacement * mesh.mean_edge).plane < BIOT
         unsolved = failed.code == "linear-solver" and len(failed.residuals) == 1
-        # the state's own tangent, but for the stiffness of the pressure that follows the surface
+        # the state's own tangent, except for the stiffness of a follower pressure
         return crumpled or (unsolved and not failed.load.pressure.any())
 
     def solve(self, state: State, load: ScaledLoad, load_factor: float, reached: float = 0.0) -> Substep:
@@ -228,7 +228,7 @@ class Newton:
         )
         if self._passes(u, load):
             return passed
-        # Of the forces before and after the step, and of those that held nodes need to move by themselves.
+        # forces before and after the step, and those that only move held nodes
         largest = max(found.scale, float(np.abs(load.given).max()))
         residuals = [found.unsettled]
 
@@ -241,7 +241,7 @@ class Newton:
             step = np.where(self.system.held, load.given - u, 0.0)
             if found.relative <= self.tolerance and not step.any():
                 residuals[-1] = found.relative
-                # A load that acts must not be lost; what is left of one that was taken off is nothing.
+                # an acting load must not vanish in rounding; a remainder of a removed load may
                 lost = float(np.abs(found.vector).max()) > _LEFT * max(found.scale, largest)
                 if lost and found.external.any():
                     return outcome(state, "too-small")
@@ -255,13 +255,13 @@ class Newton:
             if slow or rises > _MOST_RISES or not np.isfinite(found.relative):
                 return outcome(state, "not-converged")
             if tangent is None or not self._good_enough(residuals):
-                tangent = None  # before the new one is made: both take as much memory
+                tangent = None  # free it first: both take as much memory
                 tangent = self.tangent(State(u, q, c), load, touch)
             update = self._update(tangent, step, found)
             if update is None:
                 return outcome(state, "linear-solver")
-            # An update that would turn an element inside out is halved twice, then the load is. Twice is measured:
-            # half the way to the first J = 0 goes as far or further on coarse meshes, and slower on a fine one.
+            # An update that would turn an element inside out is halved twice, then the load step is. Measured:
+            # half the way to the first J = 0 goes as far or further on coarse meshes, but slower on a fine one.
             pressed = touch
             if self.contact is not None:
                 pressed = self.contact.predicted(self._points + u, load.depth, touch, update[0])
@@ -277,19 +277,19 @@ class Newton:
             residuals.append(found.unsettled)
 
     def _passes(self, u: Array, load: ScaledLoad) -> bool:
-        """Whether the indenter went through the surface."""
+        """Whether the indenter has passed through the surface."""
         return self.contact is not None and self.contact.passes(self._points + u, load.depth)
 
     def _is_behind(self, u: Array, load: ScaledLoad) -> bool:
-        """Whether the indenter is behind the surface that it met, which a step too long can end in."""
+        """Whether the indenter is behind the surface that it met, as after too long a step."""
         return self.contact is not None and self.contact.is_pushed_on(self._points + u, load.depth)
 
     def touched(self, u: Array, load: ScaledLoad) -> int:
-        """Number of facets that the indenter of a load meets in a state."""
+        """Number of facets under pressure of a load's indenter."""
         return 0 if self.contact is None else self.contact.touched(self._points + u, load.depth)
 
     def _good_enough(self, residuals: list[float]) -> bool:
-        """Whether the last tangent will do once more: it gains at least what the last step did."""
+        """Whether the last tangent is good enough once more: if it gains at least as much as in the last step."""
         return len(residuals) > 2 and residuals[-1] ** 2 <= 0.1 * self.tolerance * residuals[-2]
 
     def _update(
@@ -301,12 +301,12 @@ class Newton:
             wanted = max(0.1 * found.relative, 0.1 * self.tolerance / found.relative)
             forcing = float(np.clip(wanted, _LEAST_FORCING, _MOST_FORCING))
         if self.contact is not None:
-            # what is left beside the penalty's forces is so much less beside the body's
+            # a residual relative to the penalty's forces is larger relative to the body's
             forcing = max(forcing / PENALTY, _LEAST_FORCING)
         x, solved = self.solver.solve(tangent, -found.linear - tangent.action(step), forcing)
         n, kept = self.system.n_displacements, self.system.kept
         fluid = np.zeros(len(found.fluid_gap))
-        if len(fluid) and solved:  # bordered by the pressures in cavities, each of which keeps a volume
+        if len(fluid) and solved:  # border of fluid pressures, each of which keeps a cavity's volume
             rows = [self._nodal_rows(push) for push in found.fluid_push]
             answers = [self.solver.solve(tangent, row, forcing) for row in rows]
             solved = all(done for _, done in answers)
@@ -317,7 +317,7 @@ class Newton:
         if not solved:
             return None
         du = step.copy()
-        # An iterative solver leaves rounding at held components, which must arrive exactly.
+        # an iterative solver leaves rounding at held components, which must move exactly
         du[kept] += np.where(self.system.held[kept], 0.0, x[:n].reshape(-1, 3))
         return du, x[n:], fluid
 
@@ -329,7 +329,7 @@ class Newton:
         return np.einsum("knc,nc->k", gradients, x) / 3.0, gradients
 
     def _filled(self, load: ScaledLoad, fluid: Array) -> ScaledLoad:
-        """A load with the pressures of the fluid in cavities on their walls."""
+        """A load with the fluid's pressures on the walls of its cavities."""
         return (
             replace(load, pressure=load.pressure + (self.cavities @ fluid)[:, None]) if len(fluid) else load
         )
@@ -348,7 +348,7 @@ class Newton:
         vector = self._vector(unbalanced, internal.volume)
         if system.compliance is not None:
             vector[system.n_displacements :] -= system.compliance @ q
-        # Forces below the rounding of the displacement gradient are none.
+        # forces below the rounding of the displacement gradient count as zero
         noise = _ROUNDING * np.sqrt(u.size) * (1.0 + float(np.abs(u).max()))
         scale = max(float(np.linalg.norm(a)) for a in (internal.nodal, external))
         volumes, gradients = self._fluid(u)
@@ -389,7 +389,7 @@ class Newton:
         return np.concatenate([top, -system.pressure_scale * volume])
 
     def tangent(self, state: State, load: ScaledLoad, touch: Array | None = None) -> TangentSystem:
-        """The tangent in a state, of an indenter that presses by `touch` (f, Q); left out: by its penalty."""
+        """The tangent in a state, with an indenter's pressures `touch` (f, Q), by default those of the penalty."""
         system, pattern, coupling = self.system, self.pattern, self.coupling
         u, q, load = state.displacement, state.pressure, self._filled(load, state.fluid)
         blocks, volumes = self.assembly.tangent(u, system.pressure_scale * q)
@@ -425,10 +425,10 @@ class Newton:
         return TangentSystem(true, symmetric, action)
 
     def softest(self, reached: Substep) -> float:
-        """Lowest eigenvalue of the tangent in a state, over the stiffness at rest; NaN where it has none.
+        """Lowest eigenvalue of the tangent in a state, over the stiffness at rest; NaN where a solve fails.
 
-        Among the isochoric modes it is 1 at rest and 0 at a limit point. By inverse iteration, from that state's
-        displacement: it may be one of the lowest where several are near each other.
+        Among the isochoric modes it is 1 at rest and 0 at a limit point. Inverse iteration starts from the
+        state's displacement; of several close eigenvalues it may find one that is not the lowest.
         """
         n, kept = self.system.n_displacements, self.system.kept
         tangent = self.tangent(reached.state, reached.load)
@@ -463,19 +463,19 @@ class Newton:
 
 
 class LoadPath:
-    """One load after the other of one body: the states that were reached on the way, and where it ended.
+    """States of one body that were reached under a sequence of loads, and the load at which the path ended.
 
-    The loads are to lie on one path, of rising size: then a load beyond the end of the way has no solution that is
-    near, and is not tried again. On a stable path an elastic body forgets its way: from whichever load below
-    Newton's method starts, it is the same equilibrium to the tolerance. Where a path branches it may be another.
+    The loads must lie on one path, with rising size. A load beyond the end of the path has no solution near it
+    and is not tried again. On a stable path the equilibrium does not depend on the load from which Newton's
+    method starts, to the tolerance. Where a path branches it may.
     """
 
     def __init__(self) -> None:
         self._reached: list[Substep] = []
-        self._end: Substep | None = None  # the smallest load at which an attempt failed for good
+        self._end: Substep | None = None  # smallest load at which a last attempt failed
 
     def follow(self, newton: Newton, load: ScaledLoad) -> Iterator[Substep]:
-        """As `Newton.follow`, to a load from the state known below it, which is yielded first."""
+        """As `Newton.follow`, to a load from the known state below it; yields that state first."""
         known = (state for state in self._reached if state.load.size <= load.size)
         start = max(known, key=lambda state: state.load.size, default=newton.rest)
         yield replace(start, load_factor=0.0, residuals=start.residuals[-1:])

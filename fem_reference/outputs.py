@@ -27,7 +27,7 @@ SHARE = (
 
 
 def strain_below(strain: Array, volumes: Array) -> float:
-    """The principal strain that `SHARE` of the volume stays below, of values at points that stand for volumes."""
+    """The principal strain below which `SHARE` of the volume stays, from strains at points with volumes."""
     order = np.argsort(strain, axis=None)
     below = np.cumsum(volumes.ravel()[order])
     return float(strain.ravel()[order[np.searchsorted(below, SHARE * below[-1])]])
@@ -42,13 +42,13 @@ def displacement_gradient(mesh: TetMesh, displacement: Array, barycentric: Array
 
 
 def mean_pressure(system: LinearSystem, shear_modulus: float, displacement: Array, pressure: Array) -> Array:
-    """(S,) volume mean of -tr(stress)/3 [Pa], of fields (S, n_nodes, 3) [m] and (S, n) [Pa]."""
+    """(S,) volume mean of -tr(stress)/3 [Pa], from fields (S, n_nodes, 3) [m] and (S, n_pressures) [Pa]."""
     mesh = system.mesh
-    # The volume integral of grad u is that of u x n over the surface, exact for the P1 and P2 traces.
+    # the volume integral of grad u is the surface integral of u x n, exact for P1 and P2 traces
     share = np.repeat([0.0, 1.0 / 3.0], 3) if mesh.order == 2 else np.full(3, 1.0 / 3.0)
     trace = np.einsum("sfni,n->sfi", displacement[:, mesh.facet_nodes], share)
     gradient: Array = np.einsum("sfi,fj->sij", trace, mesh.area_vectors) / mesh.volume
-    if system.relative_stiffness is not None:  # then it is the stiffness times grad u that counts
+    if system.relative_stiffness is not None:  # the mean is then weighted by the stiffness
         weights = mesh.volumes * system.relative_stiffness / mesh.volume
         centre = np.full((1, 4), 0.25)  # the gradient is linear in a tetrahedron
         gradients = (displacement_gradient(mesh, u, centre)[:, 0] for u in displacement)

@@ -1,4 +1,4 @@
-"""What both plain problems share: a body in scikit-fem's own objects, its supports, loads and reactions.
+"""The part that both plain problems share: a body in scikit-fem's objects, its supports, loads and reactions.
 
 Method: Taylor-Hood element on straight tetrahedra, displacement P2 and pressure P1, both continuous.
 Order: 3 in displacement, 2 in strain and pressure (L2 norms).
@@ -54,9 +54,9 @@ class Dofs:
     reaction : (body.basis.N,) force of supports and springs on the body [N]
     energy : elastic energy [J]
     mean_pressure : volume mean of -tr(stress)/3 [Pa]
-    residual : norm of what is unbalanced at free dofs, relative
+    residual : relative norm of the residual at free dofs
     status : of the step
-    seconds : that the step took
+    seconds : time of the step
     iterations : of Newton's method
     scalars : further outputs by name
     """
@@ -74,7 +74,7 @@ class Dofs:
 
 
 class PlainBody:
-    """A body in scikit-fem's objects, for forms of one's own as well.
+    """A body in scikit-fem's objects, also for custom forms.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class PlainBody:
         parts: ArrayLike | None = None,
         elastic_supports: Sequence[ElasticSupport] = (),
     ) -> None:
-        # these two refuse what is unusable
+        # these two refuse unusable input
         self.checked = TetMesh(points, tetrahedra, surface_nodes, triangles, parts=parts)
         held_nodes(self.checked, np.asarray(held), make_springs(self.checked, elastic_supports, 1.0))
         self.surface_nodes, self.triangles = self.checked.surface_nodes, self.checked.triangles
@@ -169,7 +169,7 @@ class PlainBody:
     def parameters(
         self, youngs_modulus: ArrayLike, poisson_ratio: ArrayLike, density: float, law: Law
     ) -> tuple[dict[str, Any], Moduli]:
-        """What the forms are given of the material, and the means of its moduli.
+        """The material values for the forms, and the means of the moduli.
 
         Parameters
         ----------
@@ -179,14 +179,14 @@ class PlainBody:
 
         Returns
         -------
-        values : G [Pa]; k [Pa] and a of the fibres; couples and gives of the constraint
-            couples q dilation + gives q p = 0, which is p = -lambda dilation with lambda = 2 G nu / (1 - 2 nu)
+        values : G [Pa]; k [Pa] and a of the fibres; `couples` and `gives` of the constraint couples q dilation +
+            gives q p = 0, which is p = -lambda dilation with lambda = 2 G nu / (1 - 2 nu)
         moduli : see `fem_reference.moduli.Moduli`
 
         Raises
         ------
         SolverError
-            For moduli that `LinearProblem` refuses, and an incompressible body that is held all over.
+            For moduli that `LinearProblem` refuses, and an incompressible body with all nodes held.
         """
         check_density(density)
         moduli = make_moduli(self.checked, youngs_modulus, poisson_ratio, mixed=True)
@@ -200,7 +200,7 @@ class PlainBody:
         G = E / (2.0 * (1.0 + nu))
         couples, gives = 0.0, np.ones(1)  # p = 0
         if nu.all():
-            couples = float(G.mean())  # a factor of the whole row, so that all rows are of one size
+            couples = float(G.mean())  # scales the row, so that all rows are of similar size
             gives = couples * (1.0 - 2.0 * nu) / (2.0 * G * nu)
         values = {"G": _per_tetrahedron(G), "couples": couples, "gives": _per_tetrahedron(gives)}
         if not isinstance(law, TransverselyIsotropic):
@@ -210,16 +210,16 @@ class PlainBody:
         return {**values, **fibres}, moduli
 
     def given(self, load: Load) -> Array:
-        """(basis.N,) displacement of the load at the surface; an edge's middle takes the mean of its ends [m]."""
+        """(basis.N,) displacement prescribed at the surface; an edge's middle takes the mean of its ends [m]."""
         x = self.basis.zeros()
         x[self.basis.nodal_dofs[:, self.surface_nodes]] = np.asarray(load.prescribed).T
         x[self.basis.edge_dofs] = x[self.basis.nodal_dofs[:, self.mesh.edges]].mean(axis=1)
         return x
 
     def pressure_at_points(self, load: Load) -> Array:
-        """(F, Q) pressure at the points of `surface_basis`, whose facets number their vertices upwards [Pa]."""
+        """(F, Q) pressure at the points of `surface_basis` [Pa], whose facets have ascending vertices."""
         rising = np.argsort(self.surface_nodes[self.triangles], axis=1)
-        # the rule's points come in threes, one point nearest to each vertex or each edge
+        # the rule's points come in threes, one nearest to each vertex or each edge
         threes = np.asarray(load.facet_pressure, dtype=np.float64).reshape(len(rising), -1, 3)
         return np.take_along_axis(threes, rising[:, None, :], axis=2).reshape(len(rising), -1)
 
@@ -236,11 +236,11 @@ class PlainBody:
         return np.asarray(form.assemble(self.surface_basis, pressure=self.pressure_at_points(load)))
 
     def at_surface(self, x: Array) -> Array:
-        """(N, 3) values of a dof vector at the surface nodes."""
+        """(N, 3) values of a dof vector at the surface vertices."""
         return x[self.basis.nodal_dofs[:, self.surface_nodes]].T
 
     def gathered(self, forces: Array) -> Array:
-        """(N, 3) nodal forces at the surface nodes, half of an edge's to each of its ends."""
+        """(N, 3) nodal forces at the surface vertices; an edge's force goes half to each end."""
         total = forces[self.basis.nodal_dofs]
         for end in self.mesh.edges:
             np.add.at(total.T, end, 0.5 * forces[self.basis.edge_dofs].T)
@@ -249,7 +249,7 @@ class PlainBody:
     def solution(
         self, steps: Sequence[Dofs], wanted: int, seconds_setup: float, parameters: Mapping[str, float | str]
     ) -> Solution:
-        """What a model returns, from the steps of a load history; NaN for those that are wanted and missing."""
+        """A model's result from the steps of a load history; NaN for steps that are `wanted` and missing."""
 
         def column(values: Sequence[Any]) -> Array:
             missing = np.full((wanted - len(values), *np.shape(values[0])), np.nan)
@@ -279,12 +279,12 @@ class PlainBody:
 
 
 def _per_tetrahedron(value: Array) -> Array:
-    """(1, 1) or (m, 1), to go with (m, Q) values at quadrature points."""
+    """(1, 1) or (m, 1), which broadcasts to (m, Q) values at quadrature points."""
     return np.reshape(value, (-1, 1))
 
 
 def lu_status(residual: float) -> Status:
-    """Whether an LU factor has solved what it should."""
+    """The status of a solve by LU with this relative residual."""
     if residual <= DIRECT_TOLERANCE:
         return CONVERGED
     message = f"the LU factor gave a relative residual of {residual:.1e}, {DIRECT_TOLERANCE:.0e} is needed"

@@ -1,8 +1,8 @@
 """Finite-strain elasticity as a scikit-fem user writes it: the reference for `fem_reference.finite_strain`.
 
 Method: the forms of `fem_reference.plain_forms` on the Taylor-Hood element; Newton's method with the whole,
-unsymmetric tangent and a sparse LU factor. Each load starts from the equilibrium under the one before it; a load
-step that fails is cut in two. Order: 3 in displacement, 2 in strain and pressure (L2), of Newton's method 2.
+unsymmetric tangent and a sparse LU factor. Each load starts from the equilibrium under the previous one; a load
+step that fails is halved. Order: 3 in displacement, 2 in strain and pressure (L2), 2 for Newton's method.
 Source: Bonet and Wood, Nonlinear Continuum Mechanics, 2nd ed., chapters 6 to 9.
 """
 
@@ -33,7 +33,7 @@ from solver_common.solution import solver_error
 OUTPUTS = ("max_det_f_deviation", "max_principal_strain", "p95_principal_strain", "volume")
 _LEAST_STEP = 2.0**-8  # of a load step
 _MOST_ITERATIONS = 12
-_TOLERANCE = 1e-8  # of the last update, relative: Newton's method squares what is left after it
+_TOLERANCE = 1e-8  # of the last update, relative: Newton's method squares the error after it
 
 
 class PlainFiniteStrainProblem:
@@ -48,12 +48,12 @@ class PlainFiniteStrainProblem:
     Attributes
     ----------
     body : the mesh, the bases and the held dofs; see `fem_reference.plain_body.PlainBody`
-    values : what the forms are given of the material
+    values : the material values of the forms
 
     Raises
     ------
     SolverError
-        For what `FiniteStrainProblem` refuses before assembly.
+        For input that `FiniteStrainProblem` refuses before assembly.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class PlainFiniteStrainProblem:
         self.seconds_setup = time.perf_counter() - start
 
     def fields(self, x: Array) -> dict[str, Array]:
-        """What the forms are given inside the body in the state x, displacement first."""
+        """The fields of the forms inside the body in the state x, displacement first."""
         n = self.body.basis.N
         H = np.asarray(self.body.basis.interpolate(x[:n]).grad)
         F = H + np.eye(3)[:, :, None, None]
@@ -99,7 +99,7 @@ class PlainFiniteStrainProblem:
         return fields | {"Fa": mul(F, np.broadcast_to(self.values["a"], F.shape[1:]))}
 
     def residual(self, x: Array, load: Load) -> tuple[Array, Array]:
-        """What is unbalanced in the state x, and the forces that act: gravity and contact."""
+        """The residual in the state x, and the forces of gravity and contact in it."""
         body, fields = self.body, self.fields(x)
         forces = body.body_forces(load, self.density)
         if self.follows:
@@ -145,7 +145,7 @@ class PlainFiniteStrainProblem:
         return None
 
     def measured(self, x: Array, load: Load, status: Status) -> Dofs:
-        """The state x in equilibrium under a load, with what follows from it."""
+        """The results of a state x in equilibrium under a load."""
         basis, n, held = self.body.basis, self.body.basis.N, self.body.held_dofs
         unbalanced, forces = self.residual(x, load)
         inside = self.fields(x)
@@ -173,7 +173,7 @@ class PlainFiniteStrainProblem:
         )
 
     def follow(self, x: Array, start: Load | None, end: Load) -> tuple[Array, float, int]:
-        """Go from a load to another in substeps: the state, the share that was reached, the iterations."""
+        """Go from one load to another in substeps; returns the state, the share reached and the iterations."""
         reached, step, iterations = 0.0, 1.0, 0
         while reached < 1.0 and step >= _LEAST_STEP:
             target = min(1.0, reached + step)
@@ -185,9 +185,9 @@ class PlainFiniteStrainProblem:
         return x, reached, iterations
 
     def history(self, loads: Sequence[Load], outputs: Iterable[str] = OUTPUTS) -> Iterator[Dofs]:
-        """The state at each load; each starts from the one before, the first from the undeformed body.
+        """The state at each load; each starts from the previous one, the first from the undeformed body.
 
-        A load step that fails yields the last equilibrium on the way to it, and is the last one.
+        A load step that fails yields the last equilibrium on the way to it, and ends the history.
 
         Raises
         ------
@@ -216,7 +216,7 @@ class PlainFiniteStrainProblem:
 
 
 def between(start: Load | None, end: Load, share: float) -> Load:
-    """The load at a share of the way from a load, or from none, to another."""
+    """The load at a share of the way between two loads; None stands for no load."""
     if share == 1.0:
         return end
 

@@ -1,4 +1,4 @@
-"""Small-strain elasticity as a scikit-fem user writes it: the reference that `fem_reference.linear` is held to.
+"""Small-strain elasticity as a scikit-fem user writes it: the reference for `fem_reference.linear`.
 
 Method: mixed displacement-pressure form of stress = 2 G eps - p I with p = -lambda div u, to which fibres along a
 add k (a.eps a) a x a:
@@ -73,13 +73,13 @@ class PlainLinearProblem:
     Attributes
     ----------
     body : the mesh, the bases and the held dofs; see `fem_reference.plain_body.PlainBody`
-    matrix : of all dofs, displacement first, no row or column taken out
-    values : what the forms are given of the material
+    matrix : of all dofs, displacement first, without elimination
+    values : the material values of the forms
 
     Raises
     ------
     SolverError
-        For what `LinearProblem` refuses before assembly.
+        For input that `LinearProblem` refuses before assembly.
     """
 
     def __init__(

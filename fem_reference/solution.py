@@ -1,4 +1,4 @@
-"""What a FEM solve returns, in the form that the surface models answer in too."""
+"""The result of a FEM solve, in the same form as that of the surface models."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Elastic supports: springs between parts of the surface and a rigid ground (a Robin condition).
 
-A spring pulls a point that moves by u with the force -k (u.n) n, or -k u, per area of the undeformed surface, n its
-outward normal there. It does not turn with the body, so at finite strain too its force is linear in u.
+The spring force on a point with displacement u is -k (u.n) n, or -k u, per area of the undeformed surface with
+the outward normal n. Springs do not turn with the body: at finite strain too the force is linear in u.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class Springs:
 
     Attributes
     ----------
-    facets : (f,) those that are supported
+    facets : (f,) supported facets
     tensors : (f, 3, 3) force per area and displacement
-    nodes : those that are supported
+    nodes : supported nodes
 
     Raises
     ------
@@ -86,7 +86,7 @@ class Springs:
         return np.asarray(-(self._matrix @ flat).T.reshape(displacement.shape))
 
     def works(self, displacement: Array) -> Array:
-        """(S, S) works of their forces at one displacement along another, both of (S, nodes, 3) at `nodes`."""
+        """(S, S) works of the spring forces at one displacement on another, both (S, nodes, 3) at `nodes`."""
         at = (3 * self.nodes[:, None] + np.arange(3)).ravel()
         flat = displacement.reshape(-1, len(at)).T
         return np.asarray(-flat.T @ (self._matrix[at][:, at] @ flat))
@@ -98,7 +98,7 @@ class Springs:
         np.add.at(blocks, place, values)
 
     def rigid_rows(self, mesh: TetMesh) -> tuple[Index, Array]:
-        """(k,) vertices and (k, 3, 3) directions, three rows each, in which they are supported."""
+        """(k,) supported vertices, and (k, 3, 3) the directions of their support, as rows."""
         corners = mesh.facet_nodes[self.facets][:, :3]
         size = np.linalg.norm(self.tensors, axis=(1, 2))[:, None, None]
         return corners.ravel(), np.repeat(self.tensors / size, 3, axis=0)

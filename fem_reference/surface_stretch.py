@@ -1,9 +1,9 @@
-"""Where a deformed surface is compressed most, and the stretches below which a free one does not stay smooth.
+"""The most compressed point of a deformed surface, and the stretches below which a free surface is unstable.
 
-An incompressible neo-Hookean half space with the stretches l1 <= l2 in its surface depends, as far as the stability
-of that surface goes, on l1 sqrt(l2) alone, which is l1 in plane strain. Below `CREASE` a crease costs no energy
-(Hong, Zhao and Suo 2009, doi 10.1063/1.3211917), below `BIOT` a flat surface is unstable even to small waves
-(Biot 1963, Applied Scientific Research A 12, 168).
+An incompressible neo-Hookean half space has the stretches l1 <= l2 in its surface. The stability of that surface
+depends on l1 sqrt(l2) alone, which is l1 in plane strain. Below `CREASE` a crease costs no energy (Hong, Zhao and
+Suo 2009, doi 10.1063/1.3211917). Below `BIOT` a flat surface is unstable even to small waves (Biot 1963, Applied
+Scientific Research A 12, 168).
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class SurfaceStretch:
     Attributes
     ----------
     least, other : principal stretches in the surface, the smaller first
-    place : (3,) in the undeformed body [m]
-    facet : that it is on
+    place : (3,) undeformed coordinates [m]
+    facet : number of its facet
     """
 
     least: float
@@ -39,7 +39,7 @@ class SurfaceStretch:
 
     @property
     def plane(self) -> float:
-        """The stretch of plane strain at which a half space is as near to creasing."""
+        """The plane-strain stretch l1 sqrt(l2) at which a half space is equally near to creasing."""
         return float(self.least * np.sqrt(self.other))
 
 
@@ -55,7 +55,7 @@ def most_compressed(mesh: TetMesh, displacement: Array) -> SurfaceStretch:
     nodes, rest = mesh.facet_nodes, mesh.node_points
     metric = _metric(barycentric, rest[nodes])
     deformed = _metric(barycentric, (rest + displacement)[nodes])
-    # the squares of the stretches are the eigenvalues of one metric against the other
+    # squared stretches are the eigenvalues of the deformed metric relative to the undeformed one
     inverse = np.linalg.inv(np.linalg.cholesky(metric))
     squares = np.linalg.eigvalsh(inverse @ deformed @ np.swapaxes(inverse, -1, -2))
     stretches = np.sqrt(np.maximum(squares, 0.0))

@@ -11,8 +11,8 @@ The scaling keeps every block finite for any Poisson ratio in (-1, 0.5]: c is ze
 the pressure uncouples at nu = 0. A displacement element has Hooke's law in A and no pressure rows. Fibres add
 (M : eps(u)) (M : eps(v)) to A, with M = sqrt(k / mu) a x a of their modulus k and direction a.
 
-Where moduli vary, A has the factor g of each tetrahedron, its shear modulus in units of the reference, and c M is
-the sum of c M over the tetrahedra, c = |nu| (1 - 2 nu_e) / (nu_e g) with the nu of the reference.
+Where moduli vary, each tetrahedron has the factor g in A, its shear modulus in units of the reference. c M is
+then a sum over the tetrahedra with c = |nu| (1 - 2 nu_e) / (nu_e g), where nu is that of the reference.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class LinearSystem:
     stiffness : (3K, 3K) A
     divergence : (n, 3K) a B, or None for a displacement element
     gradient : (3K, n) its transpose, or None
-    mass : (n, n) M, weighted as the pressure's Schur complement is where moduli vary, or None
+    mass : (n, n) M, weighted like the pressure's Schur complement where moduli vary, or None
     compliance : (n, n) c M, None where it is zero
     compressibility : c, the least of all tetrahedra
     pressure_scale : a
@@ -54,9 +54,9 @@ class LinearSystem:
     fibres : (3, 3) M, None for an isotropic body
     relative_stiffness : (m,) g, None where it is one everywhere
     schur_factor : the pressure's Schur complement is about -schur_factor M
-    springs : elastic supports, which are in A, or None
+    springs : elastic supports, included in A, or None
     support : nodes with a held component
-    support_rows : (3 * supports, 3 n_nodes) their rows of A, no row or column taken out
+    support_rows : (3 * supports, 3 n_nodes) their rows of A, without elimination
     support_divergence : (n, 3 * supports) their columns of B, or None
     """
 
@@ -96,7 +96,7 @@ class LinearSystem:
         return self.n_displacements + (0 if self.mass is None else self.mass.shape[0])
 
     def apply(self, x: Array) -> Array:
-        """The system matrix times (size,) or (size, S)."""
+        """The system matrix times x, (size,) or (size, S)."""
         u, q = x[: self.n_displacements], x[self.n_displacements :]
         out = np.empty_like(x)
         a = self.stiffness
@@ -175,16 +175,16 @@ def build_system(
     held : (n_nodes, 3) components whose displacement is given
     mixed : pressure field or displacement only
     poisson_ratio : in (-1, 0.5], below 0.5 for a displacement element
-    law : in units of the shear modulus, of which this is the small-strain limit
-    pattern : that of the mesh where the caller keeps it; None makes one that is let go with this call
+    law : in units of the shear modulus; the system is its small-strain limit
+    pattern : the mesh's pattern, if the caller keeps it; None makes a temporary one
     relative_stiffness : (m,) g, None where it is one everywhere
-    poisson_ratios : (m,) in (0, 0.5] where they vary; `poisson_ratio` is then that of the scaling
+    poisson_ratios : (m,) in (0, 0.5] where they vary; `poisson_ratio` then sets the scaling
     springs : elastic supports, or None
 
     Raises
     ------
     SolverError
-        If an incompressible body is held so that its pressure has no datum.
+        If the held nodes of an incompressible body leave its pressure without a datum.
     """
     pattern = pattern or scalar_pattern(mesh)
     lame = 0.0 if mixed else 2.0 * poisson_ratio / (1.0 - 2.0 * poisson_ratio)
@@ -225,7 +225,7 @@ def build_system(
     data[held[kept][inner.indices][:, None, :]] = 0.0
     divergence = csr_array(_bsr(data, inner, (mesh.n_pressures, 3 * len(kept))))
     outer = coupling.numbered[:, support]
-    # A pressure drives a gradient field, on which 2 g eps : eps is twice g (div u)^2: a^2 / 2 = |nu|.
+    # A pressure drives a gradient field, where 2 g eps : eps is twice g (div u)^2: a^2 / 2 = |nu|.
     gain: float | Array = abs(poisson_ratio)
     compressibility: float | Array = (1.0 - 2.0 * poisson_ratio) * (-1.0 if poisson_ratio < 0.0 else 1.0)
     if poisson_ratios is not None:
@@ -252,7 +252,7 @@ def build_system(
 def _pressure_matrices(
     mesh: TetMesh, compressibility: float | Array, schur: float | Array
 ) -> tuple[csr_array | None, csr_array, float]:
-    """c M, the mass matrix and the factor that together are about the pressure's Schur complement."""
+    """c M, the mass matrix M and the factor of the pressure's approximate Schur complement."""
     unit = mesh.mean_edge**3
     if isinstance(schur, float):
         mass = mass_matrix(mesh)
@@ -270,7 +270,7 @@ def _bsr(blocks: Array, pattern: csr_array, shape: tuple[int, int]) -> bsr_array
 
 @compiled
 def _product(rows: NDArray[np.int32], columns: NDArray[np.int32], blocks: Array, x: Array) -> Array:
-    """The matrix of (k, 3, 3) blocks times a vector, in two thirds of SciPy's time."""
+    """A matrix of (k, 3, 3) blocks times a vector, in two thirds of SciPy's time."""
     out = np.empty_like(x)
     for row in range(len(rows) - 1):
         first = second = third = 0.0

@@ -1,12 +1,12 @@
 """Linear solves of Newton's method: GMRES on the true tangent, preconditioned by a factor that is kept.
 
-Method: right-preconditioned GMRES. Order: exact to the tolerance that is asked for; the true residual is checked.
+Method: right-preconditioned GMRES. Order: exact to the requested tolerance; the true residual is checked.
 Source: Saad and Schultz 1986, doi 10.1137/0907058.
 
-A follower pressure makes the tangent unsymmetric, but only at loaded facets: a factor of the symmetric
-part, or of an earlier tangent, is a close approximation at half the cost of an LU factor. It is made anew only when
-GMRES begins to need more steps than a factor is worth. Multigrid costs as much as eight steps, and saves more on a
-tangent of its own; it takes that as it is, unsymmetric, which saves steps where a pressure is large.
+A follower pressure makes the tangent unsymmetric, but only at loaded facets. A factor of the symmetric part, or
+of an earlier tangent, is a close approximation at half the cost of an LU factor. It is replaced only when more
+GMRES steps would cost more than a new factor. A multigrid preconditioner costs as much as eight steps, and saves
+more on its own tangent. It uses the unsymmetric tangent, which saves steps under large pressures.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Operator = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class TangentSystem:
-    """A tangent, what makes its symmetric part, for a factor, and its product with all nodes' moves."""
+    """A tangent, the data of its symmetric part for a factor, and its product with all nodes' displacements."""
 
     true: LinearSystem
     symmetric: Callable[[], LinearSystem]
@@ -42,9 +42,9 @@ class TangentSystem:
 class Preconditioner(Protocol):
     """Makes approximate inverses of tangents with one sparsity pattern.
 
-    `library` is what factorises, "none" for multigrid; `patience` is the number of GMRES steps on another tangent
-    after which a new one is cheaper, `limit` that which counts as failed. `sharpen` makes it more exact for good
-    and says whether it could.
+    `library` is the one that factorises, or "none" for multigrid. After `patience` GMRES steps on another tangent
+    a new preconditioner is cheaper; `limit` steps count as failure. `sharpen` makes it permanently more exact,
+    and returns whether it could.
     """
 
     name: str
@@ -58,12 +58,12 @@ class Preconditioner(Protocol):
         ...
 
     def sharpen(self) -> bool:
-        """Trade memory for accuracy from now on; False if there is nothing to trade."""
+        """Use more memory for more accuracy from now on; False if that is not possible."""
         ...
 
 
 class Factors:
-    """A sparse factor in single precision, in double once that has failed; one symbolic analysis for all."""
+    """A sparse factor in single precision, or in double after a failure; one symbolic analysis for all."""
 
     name = "direct"
     library = LIBRARY
@@ -104,7 +104,7 @@ class Multigrid:
     name = "iterative"
     library = "none"
     patience = 0
-    limit = 2 * RESTART  # a tangent that needs more is one beyond a limit point
+    limit = 2 * RESTART  # a tangent that needs more lies beyond a limit point
 
     def __init__(self, system: LinearSystem, memory_limit: float | None) -> None:
         self.estimated_bytes = estimate_costs(system.size, system.mesh.n_vertices, 1)[self.name].bytes
@@ -153,7 +153,7 @@ class TangentSolver:
         self.factorisations = 0
         self.steps = 0
         self._approximate: Operator | None = None
-        self._of: Callable[[], TangentSystem | None] = lambda: None  # the tangent that it was made for
+        self._of: Callable[[], TangentSystem | None] = lambda: None  # the preconditioned tangent
 
     def solve(self, tangent: TangentSystem, rhs: Array, tolerance: float) -> tuple[Array, bool]:
         """Solve to norm(rhs - K x) <= tolerance * norm(rhs); returns x and whether that was reached."""
@@ -172,7 +172,7 @@ class TangentSolver:
         return x, done
 
     def _renew(self, tangent: TangentSystem) -> None:
-        self._approximate = None  # before the new one is made: both may not fit
+        self._approximate = None  # free it first: two may not fit
         self._approximate, self._of = self.preconditioner.make(tangent), weakref.ref(tangent)
         self.factorisations += 1
 

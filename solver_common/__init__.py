@@ -1,5 +1,4 @@
-"""What `vdm` and `fem_reference` have in common, so that neither needs the other.
+"""Shared by `vdm` and `fem_reference`, so that neither imports the other.
 
-The form of arrays, of answers and refusals; the points at which a pressure on facets is given; the estimate of a
-condition.
+Array types, solutions and errors, the quadrature of facet pressures, and the condition estimate.
 """

@@ -1,4 +1,4 @@
-"""The arrays of both libraries."""
+"""Array types of both libraries."""
 
 from __future__ import annotations
 

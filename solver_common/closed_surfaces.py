@@ -1,4 +1,4 @@
-"""The pieces of a closed surface, whether a place lies inside it, and where facets cut through each other."""
+"""Pieces of a closed surface, points inside it, and facets that cut through each other."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from solver_common.arrays import Array, Index, Mask
 
-_ROWS = 512  # of places, taken at once
+_ROWS = 512  # places per pass
 _ROUNDING = 1e-12  # of the longest edge cubed
 
 
 def pieces(count: int, first: Index, second: Index) -> Index:
-    """(count,) the lowest number that each of `count` things is joined with, by pairs `first` and `second`."""
+    """(count,) the lowest number in each item's connected piece; `first` and `second` are the joined pairs."""
     lowest = np.arange(count)
     while True:
         ends = lowest[first], lowest[second]
@@ -23,18 +23,18 @@ def pieces(count: int, first: Index, second: Index) -> Index:
 
 
 def closed_pieces(triangles: Index) -> Index:
-    """(F,) the connected piece of each facet, numbered from 0 without a gap."""
+    """(F,) connected piece of each facet, numbered consecutively from 0."""
     joined = np.concatenate([triangles[:, :2], triangles[:, 1:]])
     lowest = pieces(int(triangles.max()) + 1, *joined.T)
     return np.unique(lowest[triangles[:, 0]], return_inverse=True)[1].ravel()
 
 
 def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
-    """(n,) share of the full solid angle that a closed surface takes at each place (n, 3): 1 inside, 0 outside.
+    """(n,) solid angle of a closed surface at each place (n, 3), over the full one: 1 inside, 0 outside.
 
     Van Oosterom and Strackee 1983.
     """
-    nodes = points - points.mean(axis=0)  # near the middle, squares lose nothing to rounding
+    nodes = points - points.mean(axis=0)  # near the origin, squares lose no digits
     a, b, c = nodes[triangles].transpose(1, 0, 2)
     faces, volumes = np.cross(a, b) + np.cross(b, c) + np.cross(c, a), (a * np.cross(b, c)).sum(axis=1)
     found = np.empty(len(places))
@@ -51,7 +51,7 @@ def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
 
 
 def crossings(points: Array, triangles: Index, since: int = 0) -> Index:
-    """Pairs (P, 2) of facets that cut through each other, of which one at least has the number `since` or more.
+    """Pairs (P, 2) of facets that cut through each other; at least one of a pair has the number `since` or more.
 
     Candidates are facets whose circumscribed balls about their centroids touch; a pair counts where an edge
     of one passes through the other or its rim.
@@ -68,7 +68,7 @@ def crossings(points: Array, triangles: Index, since: int = 0) -> Index:
 
 
 def _candidates(points: Array, triangles: Index, since: int) -> tuple[Index, Index]:
-    from scipy.spatial import KDTree  # slow to load, and who only reads a mesh needs none
+    from scipy.spatial import KDTree  # slow to load, and not needed to read a mesh
 
     corners = points[triangles]
     centroids = corners.mean(axis=1)
@@ -84,7 +84,7 @@ def _candidates(points: Array, triangles: Index, since: int) -> tuple[Index, Ind
 def _segment_through_triangle(p: Array, q: Array, a: Array, b: Array, c: Array) -> Mask:
     """Whether each segment pq passes through triangle abc or its rim from one side to the other.
 
-    By signs of volumes; what is smaller than rounding counts as on the rim, and as not off the plane.
+    By signs of volumes; values below rounding count as on the rim, and as in the plane.
     """
     normal, direction = np.cross(b - a, c - a), q - p
     rounding = _ROUNDING * float(max(np.abs(direction).max(initial=0.0), np.abs(c - a).max(initial=0.0))) ** 3

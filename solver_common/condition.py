@@ -1,7 +1,7 @@
-"""The norm of an inverse in the 1-norm, estimated from a few solves.
+"""The 1-norm of an inverse, estimated from a few solves.
 
 Hager (1984) and Higham (ACM Trans. Math. Softw. 14 (1988) 381, algorithm 4.1): a lower bound, rarely more than
-three times too small. The same number every time: no random vector is in it.
+three times too small. It is deterministic, without random vectors.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Product = Callable[[Array], Array]
 
 
 def operator(size: int, product: Product, product_transposed: Product) -> linalg.LinearOperator:
-    """A matrix (size, size) by its products with (size,) vectors."""
+    """A matrix (size, size), given by its products with (size,) vectors."""
     return linalg.LinearOperator(
         (size, size),
         matvec=lambda b: product(b.reshape(-1)),
@@ -27,10 +27,10 @@ def operator(size: int, product: Product, product_transposed: Product) -> linalg
 
 
 def estimated_norm(matrix: linalg.LinearOperator) -> float:
-    """Lower bound of |M|_1. A matrix's inverse has its solves for products."""
+    """Lower bound of |M|_1. For an inverse the products are solves."""
     size = matrix.shape[1]
     found = float(linalg.onenormest(matrix, t=1))
-    # Higham's second guess, for the matrices that Hager's walk is blind to
+    # Higham's second guess, for matrices on which Hager's iteration fails
     alternating = 1.0 + np.arange(size) / max(size - 1, 1)
     alternating[1::2] *= -1.0
     return max(found, 2.0 * float(np.abs(matrix @ alternating).sum()) / (3.0 * size))

@@ -1,4 +1,4 @@
-"""Where a nonlinear solve is, told while it runs."""
+"""Progress of a nonlinear solve, reported while it runs."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 
 class Progress(NamedTuple):
-    """Where a solve is.
+    """Progress of one solve.
 
     Attributes
     ----------
-    step, steps : load step under way, from 0, and their number; 0 where it is not known
+    step, steps : current load step, from 0, and their number; 0 where unknown
     reached : share of that step's load at which equilibrium was last found
-    share : share that is tried now
-    iteration : iterations done at it
+    share : share that is attempted now
+    iteration : iterations done in this attempt
     residual : relative residual after them
     """
 
@@ -51,7 +51,7 @@ def reported(report: Report) -> Iterator[None]:
 
 
 def tell(progress: Progress) -> None:
-    """Give it to the innermost `reported`, if any."""
+    """Pass it to the innermost `reported`, if any."""
     report = _REPORT.get()
     if report is not None:
         report(progress)

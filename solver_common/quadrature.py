@@ -1,4 +1,4 @@
-"""Where a pressure on facets is given, and how it is integrated."""
+"""The quadrature rule of pressures on facets."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def facet_quadrature() -> tuple[Array, Array]:
     points : (6, 3) barycentric coordinates
     weights : (6,) summing to one; an integral is the facet's area times the weighted sum
     """
-    # Closed form of the two orbits, so that the rule is exact to rounding and not to printed digits.
+    # closed form of the two orbits: exact to rounding, not to printed digits
     root = np.sqrt(10.0)
     inner = np.sqrt(38.0 - 44.0 * np.sqrt(0.4))
     near = (8.0 - root + inner) / 18.0

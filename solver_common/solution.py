@@ -1,4 +1,4 @@
-"""What a solve returns, and why there is none."""
+"""The result of a solve, and the error where there is none."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Status:
 
 
 CONVERGED = Status("converged")
-NO_REST_SHAPE = "no-rest-shape"  # the code of who knows that a scanned body has none
-NO_MOTION = 1e-12  # of a body's size: a displacement as small is what solvers round
+NO_REST_SHAPE = "no-rest-shape"  # status code of a scanned body without a rest shape
+NO_MOTION = 1e-12  # of a body's size: smaller displacements are solver rounding
 ENDED = "{} beyond {:.4g} of load step {} (after {} iterations {})"
 RESIDUAL = "the relative residual was {:.1e}"
 
@@ -60,8 +60,7 @@ class Solution:
     seconds_per_step : (S,) time of each step after set-up [s]
     parameters : the material and solver parameters that were used
     scalars : further (S,) outputs by name
-    part_of_node : (N,) part that a node belongs to, from 1, on a cut the last of its parts; None of a body that is
-        not cut
+    part_of_node : (N,) part of each node, from 1, on a cut the last of its parts; None for a body that is not cut
     """
 
     displacement: Array
