@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from scipy.linalg import blas
 
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Index
 
 # degree of the polynomials in x, y, z that represent smooth displacements: 60 columns
 DEGREE = 3
@@ -28,10 +28,22 @@ def smooth_displacements(points: Array) -> Array:
     """(3N, k) orthonormal polynomials up to `DEGREE` in each component, on points (N, 3); with rigid motions."""
     centred = points - points.mean(axis=0)
     centred /= np.abs(centred).max()
-    powers = [power for power in product(range(DEGREE + 1), repeat=3) if sum(power) <= DEGREE]
-    monomials = np.stack([np.prod(centred**power, axis=1) for power in powers], axis=1)
-    basis: Array = np.kron(np.linalg.qr(monomials)[0], np.eye(3))
+    basis: Array = np.kron(np.linalg.qr(monomials(centred, DEGREE)[1].T)[0], np.eye(3))
     return basis
+
+
+def monomials(points: Array, degree: int) -> tuple[Index, Array]:
+    """Powers (k, 3) of x, y, z in each monomial up to a degree, and the values (k, N) of these at points (N, 3)."""
+    of_each = np.array([one for one in product(range(degree + 1), repeat=3) if sum(one) <= degree])
+    return of_each, powers(points.T, degree)[of_each.T, np.arange(3)[:, None]].prod(axis=0)
+
+
+def powers(values: Array, most: int) -> Array:
+    """(most + 1, ...) powers of some values, from the zeroth on."""
+    found = np.ones((most + 1, *values.shape))
+    for k in range(most):
+        np.multiply(found[k], values, out=found[k + 1])
+    return found
 
 
 def wide_product(matrix: Array, right: Array) -> Array:
