@@ -1,6 +1,6 @@
 """The workbench: study files in, comparison reports out."""
 
-TYPE_CHECKING = False  # as typing has it, which would slow the start of every command
+TYPE_CHECKING = False  # as in typing, whose import would slow the start of every command
 if TYPE_CHECKING:
     from .api import Results, read, run
 
@@ -10,7 +10,7 @@ __all__ = ["Results", "__version__", "read", "run"]
 
 
 def __getattr__(name: str) -> object:
-    """What is in `api`, and `__version__`, are read when they are asked for."""
+    """Load the names of `api`, and `__version__`, at their first use."""
     if name == "__version__":
         from importlib.metadata import version
 

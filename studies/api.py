@@ -36,12 +36,12 @@ class Results:
 
     @property
     def failed(self) -> list[str]:
-        """What failed, a line for each case."""
+        """One line for each failed case."""
         return [f"{failure['label']}: {failure['message']}" for failure in self.data.failed]
 
     @cached_property
     def verdicts(self) -> Verdicts:
-        """The answers that page and terminal show, by family: `verdicts["vdm-printed"].word`, `limits` and more."""
+        """Verdicts as on page and terminal, by family: `verdicts["vdm-printed"].word`, `limits` and more."""
         from .verdict.digest import digest_of
         from .verdict.verdict import verdicts
 
@@ -49,16 +49,17 @@ class Results:
 
     @cached_property
     def metrics(self) -> DataFrame:
-        """The frame that page and gate read: a row for each case, model, load step and metric."""
+        """The frame of the page and the gate: a row for each case, model, load step and metric."""
         from .measures.frame import frame
 
         return frame(self.data)
 
     @cached_property
     def meshes(self) -> dict[str, Any]:
-        """Label of each case -> its surface as a pyvista.PolyData, with what each model answers at full load.
+        """Label of each case -> its surface as a pyvista.PolyData, with the models' answers at full load.
 
-        Lengths are in metres; those of a body from a file in the file's unit, so that the mesh lies on the scan.
+        Lengths are in metres; for a body from a file they are in the file's unit, so that the mesh lies on the
+        scan.
         """
         from .body.remesh import polydata
         from .report.export import mesh_names, surface_fields
@@ -75,7 +76,7 @@ class Results:
         )
 
     def _repr_html_(self) -> str:
-        """The table of the terminal, the verdicts and the way to the report, for a notebook."""
+        """The headline table, the verdicts and a link to the report, for a notebook."""
         import pandas as pd
 
         from .report.headline import terminal_rows
@@ -107,20 +108,20 @@ def run(
     watch: Callable[[Event], None] = lambda _: None,
     **overrides: Any,
 ) -> Results:
-    """Run what is missing of a study and write its report.
+    """Run the missing part of a study and write its report.
 
     Parameters
     ----------
     study : path of a study file, or the name of a shipped one
     surface, out, cache, jobs, fresh : as the options of `vdmbench run`
-    watch : is given each event of the run
+    watch : called with each event of the run
     overrides : tables of the study with the keys to change: `tissue={"youngs_modulus": "3 kPa"}`,
         `constraints={"finger": {"force": "0.2 N"}}`; None drops a key
 
     Raises
     ------
     ValueError
-        a study that is wrong, with file and line of each problem; a directory that holds something else.
+        a study with mistakes, with file and line of each; a directory that holds something else.
     OSError
         disk full or read-only.
     """
@@ -142,7 +143,7 @@ def run(
 
 @contextmanager
 def _script_left_alone() -> Iterator[None]:
-    """Workers need nothing of the script that calls `run`, and would run it again where its main part is bare."""
+    """Hide the script that calls `run` from workers: they do not need it, and would run it without a main guard."""
     main = sys.modules["__main__"].__dict__
     saved: dict[str, Any] = {key: main[key] for key in ("__file__", "__spec__") if key in main}
     main.pop("__file__", None)
@@ -154,7 +155,7 @@ def _script_left_alone() -> Iterator[None]:
 
 
 def read(directory: str | Path) -> Results:
-    """A run that is there. Raises ValueError for a directory that is none, and for damaged results."""
+    """Read a run. Raises ValueError for a directory without one, and for damaged results."""
     from .store.cases import read_run
 
     return Results(Path(directory), read_run(Path(directory)), Path(directory) / "report.html")

@@ -1,6 +1,6 @@
-"""Run time against error: a study on several mesh sizes, held against linear elements, and run like any other.
+"""Run time against error: a study on several mesh sizes, relative to linear elements, and run like any other.
 
-In: a study. Out: the study to run, whose frames are timed on every mesh; of its run a table of times and errors.
+In: a study. Out: a study whose frames are timed on every mesh; from its run a table of times and errors.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .study.schema import Study, Sweep, Uncertainty
 from .verdict.formatting import NOTHING, number, percent, quantity
 
 SIZES = (2.6, 2.0, 1.6, 1.3)  # mesh sizes over that of the study
-YARDSTICK = "fem-linear"  # errors are against it on refined meshes, ratios over its time in the same round
+YARDSTICK = "fem-linear"  # errors are against it on refined meshes; ratios are to its time in the same round
 SUFFIX = "-bench"  # of the names of studies
 NOTE = (
     "Every model answers the same loads on the same mesh. Its error is the relative L2 difference from "
@@ -50,8 +50,8 @@ def study_to_run(
 ) -> Study:
     """The first case of a study with other models, on `sizes` times its mesh size.
 
-    A size that the body cannot have is left out, and `watch` is told; where none is left, or the body has
-    tetrahedra of its own, it is measured as it is.
+    A size that does not suit the body is left out, and reported to `watch`. If none is left, or the body has
+    tetrahedra of its own, it is measured on its own mesh.
     """
     case = expand(given)[0].study
     own = {
@@ -110,13 +110,13 @@ def _row(run: Run, case: CaseResult, name: str) -> dict[str, str]:
 
 
 def _over(times: Array, yardstick: Array) -> Array:
-    """Ratios of the rounds that both have."""
+    """Ratios of two times, for the rounds that both have."""
     count = min(len(times), len(yardstick))
     return times[:count] / yardstick[:count]
 
 
 def _between(values: Array, unit: str) -> str:
-    """The median of what was measured, and the first and third quartile."""
+    """Median, first and third quartile of the finite values, as text."""
     known = values[np.isfinite(values)]
     if not known.size:
         return NOTHING
@@ -128,7 +128,7 @@ def _between(values: Array, unit: str) -> str:
 
 
 def _error(case: CaseResult, name: str) -> str:
-    """Error ± the reference's own; why a model has no answer."""
+    """A model's error ± the reference's own, or the reason why there is no answer."""
     error, bar = where_reached(case, name, VECTOR), value_bar(case, name, VECTOR)
     if not math.isfinite(error):
         return case.models[name].status[-1].message

@@ -1,9 +1,9 @@
 """Parameters of surface models, fitted to the reference.
 
-In: a plan and its run. Out: fits, and their errors on held-out loads, of other studies too.
+In: a plan and its run. Out: fits, and their errors on held-out loads, also of other studies.
 
-A parameter of a surface model is fitted as a multiple of what the model's rule gives for the body at hand: so a fit
-can be carried to another mesh, tissue or body.
+A parameter of a surface model is fitted as a multiple of the value that the model's rule gives for the body. A
+fit thus carries over to another mesh, tissue or body.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from .study.schema import VdmTable
 from .verdict.formatting import NOT_MEASURED, NOTHING, percent, quantity
 from .work.plan import Plan, PlannedCase
 
-WIDEST = 1e5  # of a ratio of two moduli over that of their rules, and of a modulus over its rule
-_STEP = 1e-4  # of a logarithm, for slopes
-_SAME = 1e-6  # of a displacement: less is rounding, and that of solvers that iterate
+WIDEST = 1e5  # largest ratio of two moduli over that of their rules, and of a modulus over its rule
+_STEP = 1e-4  # of a logarithm, for finite differences
+_SAME = 1e-6  # relative change of a displacement that counts as rounding, also of iterative solvers
 
 
 class CalibrationError(InputError):
-    """A study that nothing can be fitted on; the message says why."""
+    """A study on which nothing can be fitted; the message says why."""
 
 
 # --- The loads of a study ---
@@ -45,7 +45,7 @@ class CalibrationError(InputError):
 
 @dataclass(frozen=True)
 class Sample:
-    """One load of one body: the scene with its full load alone, and what the reference answers to that.
+    """One load of one body: the scene with its full load alone, and the reference's answer.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Body:
-    """A study that has been run, with its finished loads."""
+    """A finished study, with its finished loads."""
 
     name: str
     models: tuple[str, ...]
@@ -72,12 +72,12 @@ class Body:
 
 
 def check(plan: Plan, *, fit: bool = False) -> tuple[list[PlannedCase], list[PlannedCase]]:
-    """The loads of a study that train, the first ones, by default half of them, and those held out.
+    """The training loads of a study, the first ones, by default half of them, and those held out.
 
     Raises
     ------
     CalibrationError
-        nothing could be tried, or with `fit` fitted, whatever a run gives.
+        if no run could be used for a trial, or with `fit` for a fit.
     """
     study, loads = plan.study, plan.in_order
     if study.study.reference is None:
@@ -92,21 +92,21 @@ def check(plan: Plan, *, fit: bool = False) -> tuple[list[PlannedCase], list[Pla
             f"a calibration needs training loads and others held out: {count} of {len(loads)} would train; "
             "sweep more loads, or set calibration.training"
         )
-    first = plan.cases[0].study  # which has what is swept, as all cases have
+    first = plan.cases[0].study  # has the swept keys, like all cases
     for name in names if fit else ():
         to_fit(name, first.vdm.given(), first.model_parameters())
     return loads[:count], loads[count:]
 
 
 def body(plan: Plan, run: Run) -> Body:
-    """A study's finished loads.
+    """The finished loads of a study.
 
-    A load is on its side wherever others failed, so that none trains that was to be held out.
+    A load is training or held out whether or not others failed, so that none trains that was to be held out.
 
     Raises
     ------
     CalibrationError
-        see `check`; no finished load with a reference on one side.
+        see `check`; no finished load with a reference for training, or none held out.
     """
     finished = {
         case.hash: case for case in run.cases if case.reference is not None and case.reached == case.full_load
@@ -137,7 +137,7 @@ def _sample(plan: Plan, planned: PlannedCase, case: CaseResult) -> Sample:
 
 @dataclass(frozen=True)
 class Errors:
-    """Means of relative L2 errors over a set of loads; bars: the reference's own error, its largest."""
+    """Means of relative L2 errors over a set of loads; for the bars, the reference's own error, the largest."""
 
     vector: float
     deformation: float
@@ -148,16 +148,16 @@ class Errors:
 def to_fit(
     name: str, parameters: Mapping[str, object], overrides: Mapping[str, Mapping[str, object]]
 ) -> tuple[str, ...]:
-    """Which parameters of a model are fitted: those that its rule sets and the study leaves to it.
+    """The parameters of a model to fit: those that its rule sets and the study leaves open.
 
     Parameters
     ----------
-    parameters, overrides : what the study sets, for all models and for single ones by their full name
+    parameters, overrides : values that the study sets, for all models and for single ones by their full name
 
     Raises
     ------
     CalibrationError
-        none.
+        no such parameter.
     """
     given = {*parameters, *overrides.get(name, {})}
     names = tuple(key for key in models.find(name)[0].by_rule if key not in given)
@@ -167,7 +167,7 @@ def to_fit(
 
 
 class Trial:
-    """One model on some loads: which of its parameters are fitted, and what their rule gives on each load's scene.
+    """One model on some loads: its fitted parameters, and their values by the rule on each load's scene.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ class Trial:
         return [result.displacement[-1] for result in self._run(multiples)]
 
     def errors(self, multiples: Array) -> Errors:
-        """How far the model is off with these multiples of its rule."""
+        """The model's errors with these multiples of its rule."""
         vectors, shapes = [], []
         for sample, u in zip(self.samples, self.answers(multiples), strict=True):
             surface = sample.scene.surface
@@ -215,11 +215,11 @@ class Trial:
             places = [place for place, own in enumerate(keys) if own == key]
             scene = self.samples[places[0]].scene
             own = dict(scene.overrides.get(self.name, {}))
-            if multiples is not None:  # on one body the rule is one
+            if multiples is not None:  # all loads of a body have the same rule
                 own |= zip(self.names, (self.rules[places[0]] * multiples).tolist(), strict=True)
             scene = dataclasses.replace(scene, overrides={**scene.overrides, self.name: own})
             set_up = models.Prepared(scene, self.name, len(places))
-            for place in places:  # each a load path of its own
+            for place in places:  # each load is a path of its own
                 sample = self.samples[place]
                 found[place] = set_up.answer(sample.scene.loads)
                 failed = next((status for status in found[place].status if not status.ok), None)
@@ -240,9 +240,9 @@ class Fit:
     ----------
     multiples : parameter -> multiple of the rule's value
     parameters : parameter -> value [SI] on body, tissue and mesh of the first training load, whose label is `where`
-    by_rule, held_out : errors of the rule and of the fit on the loads held out
-    training : of the fit on the others
-    transfer : study -> errors of these multiples of the rule on its held-out loads
+    by_rule, held_out : errors of the rule and of the fit on the held-out loads
+    training : errors of the fit on the training loads
+    transfer : study -> errors of these multiples on its held-out loads
     """
 
     model: str
@@ -258,7 +258,7 @@ class Fit:
 def calibrate(
     body: Body, others: Sequence[Body] = (), watch: Callable[[str], None] = lambda _: None
 ) -> list[Fit]:
-    """Fit every surface model of a body and try the fits elsewhere; `watch` is told which is at work."""
+    """Fit every surface model of a body and evaluate the fits on others; `watch` gets each model's name."""
     found = []
     for name in body.models:
         watch(f"fitting {name}")
@@ -296,13 +296,13 @@ def least_error(trial: Trial) -> Array:
     Raises
     ------
     CalibrationError
-        an error that falls as long as the moduli grow or shrink.
+        an error that keeps falling as the moduli grow or shrink.
     """
     areas = [sample.scene.surface.areas for sample in trial.samples]
     sizes = [weighted_norm(s.reference, own) or 1.0 for s, own in zip(trial.samples, areas, strict=True)]
 
     def in_one(fields: Sequence[Array]) -> Array:
-        """Displacements as one vector, whose squared distance from the references' is the error."""
+        """Weighted displacements as one vector; its squared distance from the references' is the error."""
         parts = [np.sqrt(own)[:, None] * u / size for u, own, size in zip(fields, areas, sizes, strict=True)]
         return np.concatenate(parts).ravel() / math.sqrt(len(parts))
 
@@ -320,9 +320,9 @@ def least_squares_of_moduli(answer: Callable[[Array], Array], target: Array, cou
     """(K,) multiples of moduli whose answer (M,) is nearest to the target (M,).
 
     scipy's least squares over the logarithms of a common factor and of the other moduli's ratios to the first. It
-    starts at the rule or, where that is nearer, at the best of some ratios, each with the common factor that serves
-    forces best: a modulus may not matter to a body, and then the error has a flat end far from the rule. What the
-    loads do not tell stays where the search began.
+    starts at the rule, or at the best of several ratios if that is nearer, each with its best common factor by
+    forces. A modulus may not matter to a body; the error then has a flat end far from the rule. Directions that
+    the loads do not determine keep their starting value.
     """
     from scipy.optimize import least_squares  # slow to load
 
@@ -343,7 +343,7 @@ def least_squares_of_moduli(answer: Callable[[Array], Array], target: Array, cou
             (residual(logs + one) - residual(logs - one)) / (2.0 * _STEP) for one in _STEP * np.eye(count)
         ]
         slopes = np.stack(sides, axis=1)
-        told = np.linalg.norm(slopes, axis=0) > _SAME * np.linalg.norm(target)  # less is rounding
+        told = np.linalg.norm(slopes, axis=0) > _SAME * np.linalg.norm(target)  # smaller slopes are rounding
         return np.where(told, slopes, 0.0)
 
     def square(values: Array) -> float:
@@ -374,7 +374,7 @@ def table(fits: Sequence[Fit]) -> list[dict[str, str]]:
     rows = []
     for fit in fits:
         values = (f"{key} {quantity(value, VdmTable.unit(key))}" for key, value in fit.parameters.items())
-        # other studies need not have all the models
+        # other studies may lack some models
         there = {
             f"on {study}": in_percent(fit.transfer[study]) if study in fit.transfer else NOTHING
             for study in elsewhere

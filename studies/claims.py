@@ -1,9 +1,9 @@
-"""The paper's claims on trial: what each says, in how many cases of a grid it holds, and the word that follows.
+"""Tests of the paper's claims: each claim, the number of cases of a grid in which it holds, and the resulting word.
 
-In: `claims.toml`, which has the claims as printed, the rules, and the grid of bodies, meshes and materials. Out: a
+In: `claims.toml`, with the claims as printed, the rules, and the grid of bodies, meshes and materials. Out: a
 frame of points, one for each row of a claim and case, with value, bar and whether the row holds; tables of words.
 
-A rule is one function from a case of the grid to points. What it measures is the rule's; limits are data.
+A rule is one function from a case of the grid to points. The rule defines the measured quantity; limits are data.
 """
 
 from __future__ import annotations
@@ -58,14 +58,14 @@ STEPS, MANY_STEPS = 20, 100
 DERIVED = ("vdm-consistent:nonlinear", "vdm-vector:nonlinear")
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8)  # of warm starts
 LENGTHS = (10, 100, 1000)  # of load histories
-RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)  # of B to B_ij, over that of the rule
+RATIOS = (1e-8, 1e-4, 1.0, 1e4, 1e8)  # of B to B_ij, over the rule's ratio
 CONTRAST = 4.0  # of fibres
 WIDEST = math.log(1e5)  # of a fitted modulus over its rule
 TINY = 1e-7  # largest displacement over the body's extent at which all solvers are linear
 AS_PRINTED: dict[str, float | str] = {"volume_row": "printed"}
 CORRECTED: dict[str, float | str] = {"volume_row": "corrected"}
-FINER = 1.6  # mesh size over that of the second mesh of an exponent
-FILLED = 0.4999  # Poisson's ratio of the elements whose own drift of volume is a floor
+FINER = 1.6  # ratio of mesh sizes of the two meshes that give an exponent
+FILLED = 0.4999  # Poisson's ratio of the elements whose own drift of volume is the least limit
 
 DATA: dict[str, Any] = tomllib.loads(files("vdmbench").joinpath("claims.toml").read_text(encoding="utf-8"))
 
@@ -86,10 +86,11 @@ class Point:
 
     Attributes
     ----------
-    value : NaN of a solver that stops
-    bar : of the value, from the reference's own error
-    model, setting : what tells it from others of the row in that case; "key = value", several after semicolons
-    floor : a limit of this case alone, where it is wider than the row's
+    value : NaN for a solver that stops
+    bar : uncertainty of the value, from the reference's own error
+    model, setting : distinguish it from other points of the row in that case; "key = value", several after
+        semicolons
+    floor : a wider limit for this case alone
     """
 
     row: str
@@ -101,7 +102,7 @@ class Point:
 
 
 class Place:
-    """A case of the grid: a body on a mesh with a material, and what models answer there, each once."""
+    """A case of the grid: a body on a mesh with a material; models are solved once each."""
 
     def __init__(
         self, body: str, mesh: str, poisson_ratio: float, cache: Path, finer_by: float = 1.0
@@ -120,7 +121,7 @@ class Place:
         self.others: dict[tuple[float, float], Place] = {}
 
     def other(self, *, poisson_ratio: float | None = None, finer_by: float = 1.0) -> Place:
-        """The same body of another material, or on a finer mesh; itself where nothing differs."""
+        """The same body with another material or on a finer mesh; itself where nothing differs."""
         ratio = self.poisson_ratio if poisson_ratio is None else poisson_ratio
         if (ratio, finer_by) == (self.poisson_ratio, 1.0):
             return self
@@ -130,11 +131,11 @@ class Place:
 
     @cached_property
     def scene(self) -> Scene:
-        """Its scene, with `STEPS` equal steps to the full load."""
+        """The scene, with `STEPS` equal steps to the full load."""
         return build_scene(self.study, mesh_from_cache(self.study.geometry, self.cache))
 
     def answer(self, name: str, history: History | None = None, given: Given = NOTHING) -> ModelResult:
-        """What a model answers to load factors (the scene's own by default), with parameters of [vdm]."""
+        """A model's result at load factors (by default the scene's own), with parameters of [vdm]."""
         key = (name, None if history is None else tuple(history), *sorted(given.items()))
         if key not in self._answers:
             scene = dataclasses.replace(self.scene, parameters=given)
@@ -145,7 +146,7 @@ class Place:
 
     @property
     def strain(self) -> Array:
-        """(S,) strain of the reference that 95 % of the volume stays below."""
+        """(S,) strain of the reference that 95 % of the volume does not exceed."""
         return np.asarray(self.answer("fem").scalars["p95_principal_strain"])
 
     def errors(self, name: str) -> Array:
@@ -154,28 +155,28 @@ class Place:
         return relative_l2_steps(u, r, self.scene.surface.areas)
 
     def end(self, name: str, steps: int, given: Given = NOTHING) -> Array:
-        """(N, 3) what a model lacks of finite strain at full load, after equal steps; NaN where it stops."""
+        """(N, 3) error of a model against finite strain at full load, after equal steps; NaN where it stops."""
         u = self.answer(name, equal_steps(steps), given).displacement[-1]
         return np.asarray(u - self.answer("fem").displacement[-1])
 
     def size(self, error: Array, *, normal: bool = False) -> float:
-        """Such an error over the displacement, or over its normal component; NaN where it is not known."""
+        """Such an error over the displacement, or over its normal component; NaN if unknown."""
         true = self.answer("fem").displacement[-1]
         if normal:
             error, true = (along(field[None], self.scene.surface.normals)[0] for field in (error, true))
         return weighted_norm(error, self.scene.surface.areas) / weighted_norm(true, self.scene.surface.areas)
 
     def drift(self, name: str, given: Given = NOTHING, load: float = 1.0) -> Array:
-        """(S,) volume that a model gains or loses over what it displaces, as a size; NaN where it stops."""
+        """(S,) absolute change of volume over the displaced volume; NaN where the model stops."""
         history = load * self.scene.load_factors
         found = self.answer(name, history, given)
         moved = Moved(found.displacement, found.reaction_force, history)
         return np.abs(volume_drift_of_displaced(self.scene.surface, moved))
 
     def turned(self, one: Array, other: Array) -> float:
-        """Length of the difference of two errors (N, 3), each taken with a length of one.
+        """Norm of the difference of two errors (N, 3), each normalised.
 
-        The reference's own error moves an error by its part along it, and the difference of two by so much of it.
+        The reference's own error changes an error by its component along it, and this difference accordingly.
         """
         sizes = [weighted_norm(error, self.scene.surface.areas) for error in (one, other)]
         if not all(math.isfinite(size) and size > 0.0 for size in sizes):
@@ -235,7 +236,7 @@ def volume(place: Place) -> Iterator[Point]:
 
 @rule
 def linear_range(place: Place) -> Iterator[Point]:
-    """2: what linear elements, and the printed model, are off where the strain is 10 %."""
+    """2: errors of linear elements and of the printed model at a strain of 10 %."""
     elements, printed = place.errors("fem-linear"), place.errors("vdm-paper")
     largest = np.asarray(place.answer("fem").scalars["max_principal_strain"])
     off = _at_small_strain(printed, place.strain)
@@ -263,7 +264,7 @@ def complexity(place: Place) -> Iterator[Point]:
             for ends in zip(own[quantity], finer[quantity], strict=True)
         ]
         yield Point(f"exponents over 1/h, less: {quantity}", slopes[1] - slopes[0])
-    # elements on the coarser mesh are as close as the printed model on the finer one, or are not
+    # whether elements on the coarser mesh are as accurate as the printed model on the finer one
     u, r = (fine.answer(name, (1.0,)).displacement[-1] for name in ("vdm-paper", "fem-linear"))
     off = relative_l2(u, r, fine.scene.surface.areas)
     alike = own if place.bar <= off else finer
@@ -272,7 +273,7 @@ def complexity(place: Place) -> Iterator[Point]:
 
 
 def _amounts(scene: Scene) -> dict[str, tuple[float, float]]:
-    """Quantity -> of the printed model, of mixed linear elements."""
+    """Quantity -> its value for the printed model and for mixed linear elements."""
     from fem_reference.linear import LinearProblem
 
     printed, set_up = _printed(scene, _rule_of(scene)), Prepared(scene, "fem-linear").set_up
@@ -304,7 +305,7 @@ def _rule_of(scene: Scene) -> Parameters:
 
 @rule
 def small_steps(place: Place) -> Iterator[Point]:
-    """4: error at full load after 100 steps, and what they gain over one."""
+    """4: error at full load after 100 steps, and the gain over one step."""
     for solver in ("quasi-linear", "nonlinear", "figure-8", "incremental"):
         name, given = f"vdm-paper:{solver}", AS_PRINTED if solver == "quasi-linear" else NOTHING
         one, many = (place.end(name, steps, given) for steps in (1, MANY_STEPS))
@@ -326,7 +327,7 @@ def warm_start(place: Place) -> Iterator[Point]:
         rest = _rule_of(place.scene)
         moduli = dataclasses.replace(rest, connectivity_modulus=stiff * np.asarray(rest.connectivity_modulus))
         solver = _printed(place.scene, moduli, solver="bicg", tolerance=tolerance).solver
-        # the system is linear: from zero every step takes the iterations of the first
+        # the system is linear: from zero every step takes as many iterations as the first
         once = solver.step(load).iterations
         for steps in LENGTHS if place.mesh_name == DATA["grid"]["meshes"][0] else LENGTHS[:2]:
             taken, last = 0, None
@@ -342,7 +343,7 @@ def warm_start(place: Place) -> Iterator[Point]:
 
 @rule
 def blood(place: Place) -> Iterator[Point]:
-    """6: times that the largest displacement is too large, or too small."""
+    """6: factor by which the largest displacement is too large, or too small."""
     largest = [
         np.linalg.norm(place.answer(name, (0.01,), moduli).displacement[-1], axis=1).max()
         for name, moduli in (("fem", NOTHING), *(("vdm-paper", moduli) for moduli in DATA["moduli"].values()))
@@ -395,7 +396,7 @@ def anisotropy(place: Place) -> Iterator[Point]:
 
 @rule
 def large_strain(place: Place) -> Iterator[Point]:
-    """8: growth of the error from a twentieth of the load to all of it."""
+    """8: growth of the error from a twentieth of the load to the full load."""
     for form, names in (("printed form", ("vdm-paper:nonlinear",)), ("derived forms", DERIVED)):
         for name in names:
             errors = place.errors(name)
@@ -407,7 +408,7 @@ def large_strain(place: Place) -> Iterator[Point]:
 
 @rule
 def stability(place: Place) -> Iterator[Point]:
-    """9: difference of every printed solver from the direct answer, over ratios of the moduli."""
+    """9: difference of every printed solver from the direct solution, over ratios of the moduli."""
     rest = _rule_of(place.scene)
     bulk, edge = (float(np.asarray(value)) for value in (rest.bulk_modulus, rest.connectivity_modulus))
     solvers = ("lu", "bicg", "bicg-cold", "quasi-linear", "nonlinear", "incremental", "figure-8")
@@ -438,7 +439,7 @@ def iterations(place: Place) -> Iterator[Point]:
 
 @rule
 def memory(place: Place) -> Iterator[Point]:
-    """11: numbers in the factors of the state matrix over those in it, and how those grow."""
+    """11: numbers in the factors of the state matrix over those in the matrix, and their growth."""
     counts = []
     for scene in (place.scene, place.other(finer_by=FINER).scene):
         model = _printed(scene, _rule_of(scene))
@@ -501,13 +502,13 @@ def conceded(place: Place) -> Iterator[Point]:
 
 
 class Patches:
-    """Loads on three other places of a body, where B and B_ij of the printed form are fitted to linear elements."""
+    """Loads on three other places of a body, to fit B and B_ij of the printed form to linear elements."""
 
     def __init__(self, place: Place) -> None:
         self.place, mesh = place, place.scene.mesh
         points, free = mesh.surface_points, ~place.scene.held
         centres = [points[place.scene.contact].mean(axis=0)]
-        for _ in range(3):  # each as far from the finger and from those before as the upper half is
+        for _ in range(3):  # each as far as possible from the finger and the earlier ones, on the upper half
             away = np.linalg.norm(points[:, None] - np.array(centres), axis=2).min(axis=1)
             upper = free & (points[:, 2] > np.median(points[:, 2]))
             centres.append(points[np.where(upper, away, -1.0).argmax()])
@@ -521,7 +522,7 @@ class Patches:
             self.scenes.append(scene)
 
     def answers(self, multiples: Array, scenes: Sequence[Scene]) -> Array:
-        """(L, N) normal displacement of the printed form under each load, moduli as multiples of the rule's."""
+        """(L, N) normal displacement of the printed form under each load, for multiples of the rule's moduli."""
         rest = _rule_of(self.place.scene)
         bulk, edge = (
             m * np.asarray(v)
@@ -554,7 +555,7 @@ class Patches:
 
 
 def places(cache: Path) -> list[Place]:
-    """Every case of the grid; materials of one body and mesh share what they ask of each other."""
+    """Every case of the grid; materials of one body and mesh share their results."""
     grid, found = DATA["grid"], []
     for body, mesh in itertools.product(grid["bodies"], grid["meshes"]):
         same = [Place(body, mesh, ratio, cache) for ratio in grid["poisson_ratio"]]
@@ -565,7 +566,7 @@ def places(cache: Path) -> list[Place]:
 
 
 def ratios_of(number: int) -> Sequence[float]:
-    """Poisson's ratios that a claim is tried with: the last of the grid where what is measured hangs on none."""
+    """Poisson's ratios for a claim: the last of the grid if the measured quantity does not depend on it."""
     every: list[float] = DATA["grid"]["poisson_ratio"]
     return every[-1:] if DATA["claims"][number - 1].get("one_material") else every
 
@@ -578,7 +579,7 @@ def measure(
     Parameters
     ----------
     cache : directory for meshes
-    watch : is told each case
+    watch : called for each case
     """
     import pandas as pd
 
@@ -605,7 +606,7 @@ def points_of(number: int, place: Place) -> list[tuple[Any, ...]]:
 
 @dataclass(frozen=True)
 class Row:
-    """A row of a claim over the grid: the word is "" of a figure without a limit."""
+    """A row of a claim over the grid; the word is "" for a figure without a limit."""
 
     claim: int
     name: str
@@ -615,11 +616,11 @@ class Row:
     cases: int
     low: float
     high: float
-    part: str = ""  # where it holds within limits: "tolerance = 0.01"
+    part: str = ""  # settings for which it holds: "tolerance = 0.01"
 
 
 def judge(points: DataFrame) -> list[Row]:
-    """Every row of every claim that has points: its own, or those of the rows that it is `of`."""
+    """Every row of every claim with points: its own points, or those of the rows that it is `of`."""
     import pandas as pd
 
     groups = dict(list(points.groupby(["claim", "row"], sort=False)))
@@ -635,7 +636,7 @@ def judge(points: DataFrame) -> list[Row]:
 def _row(number: int, name: str, limit: Mapping[str, float], along: Sequence[str], points: DataFrame) -> Row:
     sign, about = -1.0 if "at_least" in limit else 1.0, (number, name)
     values, bars = points["value"].to_numpy(), points["bar"].to_numpy()
-    values = np.where(np.isfinite(values), values, sign * math.inf)  # what stops is beyond any limit
+    values = np.where(np.isfinite(values), values, sign * math.inf)  # a solver that stops exceeds any limit
     ends = float(values.min()), float(values.max())
     if not limit:
         return Row(*about, "", "", 0, len(values), *ends)
@@ -659,7 +660,7 @@ def _row(number: int, name: str, limit: Mapping[str, float], along: Sequence[str
 
 
 def _part(points: DataFrame, holds: Array, along: Sequence[str]) -> str:
-    """The values of a setting, or of several together, for which a row holds in every case; "" where none are."""
+    """The values of one or several settings for which a row holds in every case; "" for none."""
     for keys in along:
         found: dict[str, list[bool]] = {}
         for model, setting, held in zip(points["model"], points["setting"], holds, strict=True):
@@ -678,7 +679,7 @@ def title(number: int) -> str:
 
 
 def told(number: int) -> list[str]:
-    """What the paper says, how it is read, what else could be meant, and where the limits come from."""
+    """The paper's words, their reading, other possible meanings, and the source of the limits."""
     claim = DATA["claims"][number - 1]
     return [
         f"\u201c{claim['quote']}\u201d ({claim['place']})",
@@ -689,7 +690,7 @@ def told(number: int) -> list[str]:
 
 
 def table_of_claims(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """A line for each claim, of the row that decides it."""
+    """One line for each claim, from its deciding row."""
     first = {row.claim: row for row in reversed(rows)}
     return [{"claim": title(number)} | _cells(row) for number, row in sorted(first.items())]
 
@@ -715,7 +716,7 @@ def write_points(points: DataFrame, path: Path) -> None:
 
 
 def read_points(path: Path) -> DataFrame:
-    """Read them back. Raises OSError, and ValueError where it is no such file."""
+    """Read the points back. Raises OSError, and ValueError for another file."""
     import pandas as pd
 
     table = pd.read_csv(path, dtype={"setting": str, "model": str})

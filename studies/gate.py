@@ -1,9 +1,9 @@
-"""Accuracy kept. In: a run and what was accepted, or runs. Out: what is worse, better, missing or not comparable.
+"""The accuracy gate. In: a run and its baseline, or runs. Out: what is worse, better, missing or not comparable.
 
-A baseline holds the value of each case, model and metric at full load, the verdict of each family, what the cases
-were asked, the versions of models and metrics, and why it was accepted. Only sizes are gated: an error that grows
-is worse, one that shrinks is better; so is a word. Times, memory and descriptive metrics
-(`vdmbench.measures.metrics.Sense`) are not in it.
+A baseline holds the value of each case, model and metric at full load, the verdict of each family, the inputs of
+the cases, the versions of models and metrics, and the reason why it was accepted. Only absolute values are gated:
+an error that grows is worse, one that shrinks is better. Words are compared likewise. Times, memory and
+descriptive metrics (`vdmbench.measures.metrics.Sense`) are not gated.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from .verdict.acceptance import WORDS
 from .verdict.digest import digest_of
 from .verdict.verdict import verdicts
 
-SCHEMA = 2  # of 1, the inputs were a digest, which could not say what had changed
-RELATIVE = 0.02  # of a value: another BLAS, another core count and another order of sums move it by far less
+SCHEMA = 2  # in 1 the inputs were a digest, which could not show what had changed
+RELATIVE = 0.02  # of a value: another BLAS, core count or order of sums changes it far less
 ABSOLUTE = {
     "1": 1e-3,
     "m": 1e-6,
-}  # no change whatever the value, by unit: 0.1 percentage points, a micrometre
-CONSERVED = 1e-9  # of what is conserved: a deviation is judged by its own size, down to where it is rounding
+}  # differences below these count as unchanged, by unit: 0.1 percentage points, a micrometre
+CONSERVED = 1e-9  # least tolerance of a conserved quantity: its deviation is compared down to rounding
 MEASURED = measurement_error.__name__
-ONLY_CASE = "the only case"  # what the case of a study without a sweep is called
+ONLY_CASE = "the only case"  # label of the case of a study without a sweep
 VERDICT = "verdict"  # in place of a metric, of a family in place of a model
 OWN = "own error: "  # before the name of a metric in which the reference's own error was measured
 _SHOWN = 3  # changed inputs that are named
@@ -66,7 +66,7 @@ class Measure:
 
 @dataclass(frozen=True)
 class Entry:
-    """One accepted case: inputs that differ from the baseline's, None where not given; model -> metric -> value.
+    """One accepted case: inputs that differ from the baseline's, None if not given; model -> metric -> value.
 
     A value is None where the model had none.
     """
@@ -78,7 +78,7 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """What was accepted of a study, when and why; `inputs` by their keys (SI), cases by their labels.
+    """The accepted values of a study, with date and reason; `inputs` by their keys (SI), cases by their labels.
 
     `verdicts` holds the word of each family under the limits of `acceptance`; older baselines have none.
     """
@@ -95,7 +95,7 @@ class Baseline:
     cases: dict[str, Entry]
 
     def inputs_of(self, case: str) -> dict[str, Any]:
-        """What a case was asked, by key."""
+        """The inputs of a case, by key."""
         whole = self.inputs | self.cases[case].inputs
         return {key: value for key, value in whole.items() if value is not None}
 
@@ -119,7 +119,7 @@ class Finding:
 
 
 def baseline_of(run: Run, reason: str = "") -> Baseline:
-    """What a baseline holds of a run: every gated metric at full load; against a measurement where one was made."""
+    """The baseline of a run: every gated metric at full load, or against a measurement if there is one."""
     values: dict[str, dict[str, dict[str, float | None]]] = {
         case.hash: {name: {} for name in case.models} for case in run.cases
     }
@@ -165,7 +165,7 @@ def baseline_of(run: Run, reason: str = "") -> Baseline:
 
 
 def asked_of(case: CaseResult) -> dict[str, Any]:
-    """What decides a case's numbers, by key, without names, lists and defaults; a file by its own name."""
+    """The inputs that decide a case's numbers, by key, without names, lists and defaults; a file by its name."""
     given = case.study.model_dump(mode="json", exclude_defaults=True, exclude={"study", "inputs"})
     found = dict(_leaves(case.study.without(given, Enters.NOTHING)))
     if "geometry.path" in found:
@@ -174,7 +174,7 @@ def asked_of(case: CaseResult) -> dict[str, Any]:
 
 
 def _leaves(tables: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Key -> value of nested tables; tables of a list go by their name, else by their number from 1."""
+    """Key -> value of nested tables; items of a list of tables go by their name, else by their number from 1."""
     for key, value in tables.items():
         if isinstance(value, list) and value and all(isinstance(part, dict) for part in value):
             named = {str(part.get("name") or k): part for k, part in enumerate(value, start=1)}
@@ -190,17 +190,17 @@ def _changed(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 
 def sense_of(name: str) -> Sense:
-    """What a metric declares that its size tells; of one that this program no longer has, an error."""
+    """The sense of a metric; "error" for one that this program no longer has."""
     return METRICS[name].sense if name in METRICS else "error"
 
 
 def _rounded(value: float) -> float | None:
-    """To six digits: more of them differ from machine to machine. None where there is no number."""
+    """To six digits, as further ones differ between machines; None for no number."""
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
 def _tolerance(metric: str, unit: str, value: float) -> float:
-    """By how much a metric may differ from an accepted value and count as unchanged."""
+    """Largest difference from an accepted value that counts as unchanged."""
     least = CONSERVED if sense_of(metric) == "conserved" else ABSOLUTE.get(unit, 0.0)
     return max(RELATIVE * abs(value), least)
 
@@ -209,12 +209,12 @@ def _tolerance(metric: str, unit: str, value: float) -> float:
 
 
 def baseline_path(results: Path, study: str) -> Path:
-    """Where the baseline of a study is kept. Raises ValueError where the name would lead elsewhere."""
+    """Path of a study's baseline. Raises ValueError for a name that is unsafe in a path."""
     return results / "baselines" / f"{safe_name(study)}.json"
 
 
 def no_baseline(path: Path) -> str:
-    """What is wrong, and what to do, where a study has no baseline."""
+    """The message for a study without a baseline, with the remedy."""
     return f"{path}: no such baseline; make one with: vdmbench accept DIR --reason TEXT"
 
 
@@ -246,7 +246,7 @@ def read_baseline(path: Path) -> Baseline:
 
 
 def _loaded(path: Path) -> dict[str, Any] | None:
-    """A baseline of whatever version as plain data; None where the file is none."""
+    """A baseline of any version as plain data; None if the file is none."""
     try:
         found = json.loads(path.read_bytes())
     except (ValueError, RecursionError):
@@ -260,8 +260,7 @@ def accept(run: Run, path: Path, reason: str) -> Baseline:
     Raises
     ------
     BaselineError
-        no reason, cases that failed or are missing, nothing to accept, or a file in the baseline's place that is
-        none.
+        no reason, cases that failed or are missing, nothing to accept, or another file in the baseline's place.
     OSError
         disk full or read-only.
     """
@@ -295,7 +294,7 @@ def compare(run: Run, was: Baseline, whose: str = "the baseline") -> list[Findin
     now, name = baseline_of(run), run.study.study.name
     if whose == "the baseline" and was.study != name:
         raise BaselineError(f"the baseline is of study {was.study!r}, the run of {name!r}")
-    # a failure is labelled for people: in a study of one case by the study's name
+    # the label of a failure is for people: in a study of one case it is the study's name
     failed = {
         ONLY_CASE if failure["label"] == name else failure["label"]: failure["message"]
         for failure in run.failed
@@ -316,14 +315,14 @@ def compare(run: Run, was: Baseline, whose: str = "the baseline") -> list[Findin
         if label not in was.cases:
             state = f", and it failed: {failed[label]}" if label in failed else ""
             findings.append(Finding(NEW, label, "", "", why=f"{whose} has no such case{state}"))
-    # of the same cases and models, and of numbers: words alone prove nothing
+    # at least one number of the same case and model must be compared: words alone do not count
     if all(f.metric for f in findings) and any(f.outcome in _COMPARED for f in findings):
         findings += _compare_verdicts(was, now)
     return findings
 
 
 def _compare_verdicts(was: Baseline, now: Baseline) -> Iterator[Finding]:
-    """The word of each family beside the accepted one, under the same limits; none where none was accepted."""
+    """The word of each family beside the accepted one, under the same limits; nothing without an accepted word."""
     if was.verdicts and was.acceptance != now.acceptance:
         why = _inputs_changed(was.acceptance, now.acceptance)
         yield Finding(NOT_COMPARABLE, "", "", VERDICT, why=f"acceptance: {why}")
@@ -378,7 +377,7 @@ def _compare_case(label: str, was: Baseline, now: Baseline, whose: str) -> Itera
 
 
 def _inputs_changed(was: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """Which inputs differ, with both values; "" where none does."""
+    """The inputs that differ, with both values; "" if none does."""
     changed = _changed(was, now)
     told = [f"{key} was {was.get(key, 'not given')}, is {now.get(key, 'not given')}" for key in changed]
     return "; ".join(told[:_SHOWN]) + (f"; {len(told) - _SHOWN} more" if len(told) > _SHOWN else "")
@@ -392,7 +391,7 @@ def _compare_value(
     unit: str,
     changed: Sequence[str],
 ) -> Finding:
-    """One number beside the accepted one; of another version of model or metric too, which is said."""
+    """One number beside the accepted one; a finding for another version of model or metric says so."""
     old, new = (math.nan if value is None else value for value in values)
     tolerance = _tolerance(metric.removeprefix(OWN), unit, 0.0 if math.isnan(old) else old)
     said = list(changed)
@@ -421,7 +420,7 @@ def regressed(findings: Sequence[Finding]) -> bool:
 
 
 def why_not_passed(findings: Sequence[Finding], *, allow_missing: bool = False) -> str:
-    """Why findings without a regression pass nevertheless not; "" where they pass."""
+    """Why findings do not pass although none is a regression; "" if they pass."""
     if not any(finding.outcome in _COMPARED for finding in findings):
         return "not one number could be held against another"
     if allow_missing or not any(finding.outcome in INCOMPLETE for finding in findings):
@@ -454,7 +453,7 @@ def summary(findings: Sequence[Finding]) -> str:
 def junit(study: str, findings: Sequence[Finding], *, allow_missing: bool = False) -> bytes:
     """JUnit XML: one test case per finding.
 
-    What got worse is a failure, and what is missing or not comparable unless that is allowed.
+    A regression is a failure; so is a missing or not comparable value, unless allowed.
     """
     failures = REGRESSED if allow_missing else (*REGRESSED, *INCOMPLETE)
     skipped = tuple(outcome for outcome in _SKIPPED if outcome not in failures)
@@ -480,7 +479,7 @@ def junit(study: str, findings: Sequence[Finding], *, allow_missing: bool = Fals
 
 
 def markdown(study: str, told: str, findings: Sequence[Finding]) -> str:
-    """A summary with a table of everything that is not as it was; `told` is a sentence on the baseline."""
+    """A summary with a table of all changed findings; `told` is a sentence on the baseline."""
     text = f"# Accuracy of {_cell(study)}\n\n{summary(findings)}. {_cell(told)}\n"
     changed = [finding for finding in findings if finding.outcome != SAME]
     if changed:

@@ -1,5 +1,5 @@
-"""Files, locks and memory of this machine. In: paths and limits. Out: files that are whole, sealed arrays, what a
-process may take. It knows nothing of studies.
+"""Files, locks and memory of this machine. In: paths and limits. Out: complete files, sealed arrays, memory limits.
+It knows nothing of studies.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ _PROCESSORS = Path("/proc/cpuinfo")
 
 
 def results_directory() -> Path:
-    """Where runs, the cache and baselines are kept unless the command line says otherwise."""
+    """Default directory of runs, cache and baselines."""
     return Path(os.environ.get("VDMBENCH_RESULTS") or "results")
 
 
 def cache_directory() -> Path:
-    """Where meshes and answers are kept unless the command line says otherwise."""
+    """Default directory of meshes and answers."""
     return Path(os.environ.get("VDMBENCH_CACHE") or results_directory() / "cache")
 
 
 def json_text(value: Any, *, indent: int | None = None) -> str:
-    """JSON as every program reads it: null for a number that is not finite, for which JSON has no word."""
+    """JSON that every program reads: null stands for a number that is not finite."""
     return json.dumps(plain(value), indent=indent, allow_nan=False)
 
 
 def plain(value: Any, without: Container[str] = ()) -> Any:
-    """A value as JSON has it, of a dataclass all fields but some; `vdmbench.store.plain` reads it back."""
+    """A value as JSON types; a dataclass gives all fields except some. `vdmbench.store.plain` reads it back."""
     if value is None or isinstance(value, str | int):
         return value
     if isinstance(value, float):
@@ -64,23 +64,23 @@ def plain(value: Any, without: Container[str] = ()) -> Any:
     if dataclasses.is_dataclass(value):
         names = (field.name for field in dataclasses.fields(value) if field.name not in without)
         return {name: plain(getattr(value, name)) for name in names}
-    if hasattr(value, "model_dump"):  # of pydantic, not loaded for this
+    if hasattr(value, "model_dump"):  # pydantic, which is not loaded for this
         return value.model_dump(mode="json", exclude_none=True)
-    return plain(value.tolist()) if hasattr(value, "tolist") else value  # of NumPy, likewise
+    return plain(value.tolist()) if hasattr(value, "tolist") else value  # NumPy, likewise
 
 
 def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:
-    """Write `data` so that `path` is either absent (or what it was) or complete, also after a crash.
+    """Write `data` so that `path` is absent, unchanged or complete, even after a crash.
 
     Parameters
     ----------
-    durable : wait for the disk; without it a loss of power may leave the file cut, which no killed program does
+    durable : wait for the disk; without it a power failure, but no killed program, may truncate the file
 
     Raises
     ------
     OSError
-        disk full or read-only, or a directory of that name; it names `path`, and nothing is left behind. A link of
-        that name is replaced, not followed.
+        disk full or read-only, or a directory of that name; it names `path`, and no file is left behind. A link
+        of that name is replaced, not followed.
     """
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "a directory is in a file's place; remove it", str(path))
@@ -89,7 +89,7 @@ def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:
     try:
         with part.open("xb") as file:
             fcntl.flock(file, fcntl.LOCK_EX)  # until it has its final name, see `clear_abandoned`
-            if not os.fstat(file.fileno()).st_nlink:  # which cleared it away before it was locked
+            if not os.fstat(file.fileno()).st_nlink:  # cleared away before it was locked
                 return write_atomically(path, data, durable=durable)
             file.write(data)
             file.flush()
@@ -98,13 +98,13 @@ def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:
             part.replace(path)
     except BaseException as error:
         part.unlink(missing_ok=True)
-        if isinstance(error, OSError):  # a write names no file, and others the one that was to become this
+        if isinstance(error, OSError):  # a write error names no file, others name the temporary one
             raise OSError(error.errno, error.strerror, str(path)) from error
         raise
 
 
 def clear_abandoned(directory: Path, suffix: str = _PART) -> None:
-    """Remove the hidden files with this suffix that killed processes left: a lock goes with its process."""
+    """Remove the hidden files with this suffix of killed processes: locks end with their process."""
     for path in directory.glob(f".*{suffix}"):
         with contextlib.suppress(OSError), path.open("rb") as file:  # gone meanwhile, in use, or not ours
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -113,7 +113,7 @@ def clear_abandoned(directory: Path, suffix: str = _PART) -> None:
 
 @contextlib.contextmanager
 def whole_directory(out: Path) -> Iterator[Path]:
-    """A hidden directory beside `out` to write in, which takes the place of `out` at the end, else goes.
+    """A hidden directory beside `out` to write in; it replaces `out` at the end, and is removed after an error.
 
     `out` is new or empty. Raises OSError.
     """
@@ -131,23 +131,23 @@ def whole_directory(out: Path) -> Iterator[Path]:
 
 
 def require_end(path: Path, end: bytes) -> None:
-    """Raises OSError where a file that a library wrote does not end with `end`: a full disk, or a limit, cut it."""
+    """Raise OSError if a file that a library wrote does not end with `end`: a full disk or a limit truncated it."""
     if not path.read_bytes()[-100:].rstrip().endswith(end):
         raise OSError(errno.EFBIG, "is cut: the disk is full, or a limit of file size is reached", str(path))
 
 
 class LockedError(ValueError):
-    """Another process holds the lock; the message is who, as "process 12"."""
+    """Another process holds the lock; the message names it, as "process 12"."""
 
 
 @contextlib.contextmanager
 def lock(path: Path, *, shared: bool = False, wait: bool = False) -> Iterator[None]:
-    """Hold the lock of a file, and say in the file who does; it goes with its process.
+    """Hold the lock of a file, and write the holder into the file; the lock ends with the process.
 
     Raises
     ------
     LockedError
-        another process holds it, and nobody is to be waited for.
+        another process holds it, without `wait`.
     OSError
         the file cannot be opened or written; it names `path`.
     """
@@ -167,13 +167,13 @@ def lock(path: Path, *, shared: bool = False, wait: bool = False) -> Iterator[No
         yield
 
 
-# --- arrays under a seal, of the file's name too, which is its content key ---
+# --- arrays with a seal that covers the file's name too, which is its content key ---
 
 
 def packed(value: Any = None, **parts: Any) -> bytes:
-    """The fields of a dataclass and further values as the bytes of an .npz, which `unpacked` takes back.
+    """The fields of a dataclass and further values as the bytes of an .npz file, for `unpacked`.
 
-    Arrays, mappings of arrays by name, and whatever JSON has.
+    Values are arrays, mappings of arrays by name, and JSON types.
     """
     import numpy as np
 
@@ -193,7 +193,7 @@ def packed(value: Any = None, **parts: Any) -> bytes:
 
 
 def unpacked(content: bytes) -> dict[str, Any]:
-    """The values that `packed` was given, by name; of a dataclass in them its fields."""
+    """The values given to `packed`, by name, and the fields of its dataclass."""
     import numpy as np
 
     with np.load(io.BytesIO(content), allow_pickle=False) as stored:
@@ -210,12 +210,12 @@ def unpacked(content: bytes) -> dict[str, Any]:
 def write_arrays(path: Path, value: Any = None, **parts: Any) -> None:
     """Store what `packed` takes, whole or not at all. Raises OSError."""
     content = packed(value, **parts)
-    # many and small, each told by its seal and made again where it is cut: none is worth a wait for the disk
+    # many small files, checked by their seals and remade if truncated: none is worth a wait for the disk
     write_atomically(path, content + _seal(path, content), durable=False)
 
 
 def read_arrays(path: Path) -> dict[str, Any] | None:
-    """What is stored at `path`, or None where there is no file, or one that is damaged or not its own.
+    """The arrays stored at `path`; None if there is no file, or a damaged or foreign one.
 
     Raises
     ------
@@ -235,7 +235,7 @@ def _content(path: Path) -> bytes | None:
     try:
         data = path.read_bytes()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-        return None  # what is in its place is told when it is written
+        return None  # whatever is in its place is reported when it is written
     content, seal = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
     return content if _seal(path, content) == seal else None
 
@@ -248,14 +248,14 @@ def _seal(path: Path, content: bytes) -> bytes:
 
 
 def usable_processors() -> int:
-    """How many this process may use: a batch system or `taskset` may leave it fewer than the machine has."""
+    """Number of processors of this process: a batch system or `taskset` may allow fewer than the machine has."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def processor_name() -> str:
-    """What the machine says that its processors are; "unknown" where it says nothing."""
+    """The machine's name of its processors, or "unknown"."""
     try:
         lines = _PROCESSORS.read_text().splitlines()
     except OSError:
@@ -264,7 +264,7 @@ def processor_name() -> str:
 
 
 def machine_memory() -> int:
-    """Bytes of memory of this machine, or of this container where it may take less."""
+    """Bytes of memory of this machine, or of its container if that is less."""
     sizes = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
     for name in _CONTAINER:
         with contextlib.suppress(OSError, ValueError):  # not there, or "max"
@@ -273,8 +273,9 @@ def machine_memory() -> int:
 
 
 def require_memory() -> None:
-    """Raises MemoryError under a limit of the shell or batch system in which solvers cannot be loaded: numpy's
-    OpenBLAS, refused its buffers, asks again for ever.
+    """Raise MemoryError if a limit of the shell or batch system is too low to load the solvers.
+
+    Without memory for its buffers, numpy's OpenBLAS would retry forever.
     """
     for letter, kind in (("v", resource.RLIMIT_AS), ("d", resource.RLIMIT_DATA)):
         limit = resource.getrlimit(kind)[0]
@@ -288,11 +289,11 @@ def require_memory() -> None:
 
 
 def limit_memory(size: int) -> None:
-    """Let this process take so many bytes more, for the rest of its life; then allocations fail.
+    """Limit this process to `size` further bytes for the rest of its life; then allocations fail.
 
-    What counts is private data (RLIMIT_DATA), touched or not; on another system than Linux nothing is limited.
-    From here on dense algebra has one thread, with the memory that it works in taken before: OpenBLAS, refused it,
-    asks again for ever (blas_memory_alloc in its driver/others/memory.c).
+    Private data counts (RLIMIT_DATA), touched or not; only Linux has such a limit. Dense algebra then has one
+    thread, with its work memory allocated before: without that memory OpenBLAS would retry forever
+    (blas_memory_alloc in its driver/others/memory.c).
     """
     if not _STATUS.exists():
         return
@@ -310,9 +311,9 @@ def limit_memory(size: int) -> None:
 
 
 def reset_peak() -> int:
-    """Start a stretch: forget the peak so far; returns the resident bytes now, for `peak_bytes_since`.
+    """Reset the peak memory; returns the resident bytes now, for `peak_bytes_since`.
 
-    Memory that was freed but kept by the allocator goes back to the system first: taken again, it counts.
+    First the allocator returns freed memory to the system, so that it counts when it is used again.
     """
     with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
         ctypes.CDLL(None).malloc_trim(0)
@@ -324,9 +325,9 @@ def reset_peak() -> int:
 
 
 def peak_bytes_since(baseline: int) -> int:
-    """Bytes that the stretch added at its peak to the resident memory at its start.
+    """Peak resident memory since `reset_peak`, in addition to the memory at that time [B].
 
-    Where the peak cannot be reset (another system than Linux) it is the peak of the whole process.
+    Where the peak cannot be reset (another system than Linux) it is that of the whole process.
     """
     peak = _status("VmHWM") if _STATUS.exists() else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return max(0, peak - baseline)

@@ -1,4 +1,4 @@
-"""Meshes made bad on purpose: slivers and random shifts of nodes, for studies of what a model still stands."""
+"""Meshes made bad on purpose, by slivers and random shifts of nodes, to study the robustness of models."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from .mesh import Mesh
 from .surface_measures import enclosed_volume, facet_area_vectors, facet_areas
 from .topology import tetrahedron_sicn, tetrahedron_volumes
 
-SLIVER_SHARE = 0.04  # of the facets that are squeezed, where so many can be
-_SOUND_ASPECT = 12.0  # longest edge over height that a facet beside a sliver may get
-_SOUND_TURN = 0.5  # cosine of the angle that such a facet may turn by
-_SOUND_SICN = 0.02  # what a tetrahedron that is not part of a sliver keeps
+SLIVER_SHARE = 0.04  # of the facets that are squeezed, if possible
+_SOUND_ASPECT = 12.0  # largest ratio of longest edge to height of a facet beside a sliver
+_SOUND_TURN = 0.5  # least cosine of the angle by which such a facet turns
+_SOUND_SICN = 0.02  # least value of a tetrahedron outside the slivers
 _HALVINGS = 12
 
 
@@ -26,11 +26,11 @@ def distorted(mesh: Mesh, *, slivers: float | None, perturbation: float | None, 
 
     Parameters
     ----------
-    slivers : longest edge over height of one facet in twenty-five, squeezed within its own plane by moving the
-        corner that faces its longest edge; its tetrahedron is flattened with it. All other facets and tetrahedra
-        stay sound.
-    perturbation : every node moves by up to this share of its shortest edge, in a random direction; half as far,
-        and again, where a tetrahedron or a facet would turn over
+    slivers : ratio of longest edge to height for one facet in twenty-five. The corner that faces the longest edge
+        moves within the facet's plane; the tetrahedron is flattened with it. All other facets and tetrahedra stay
+        sound.
+    perturbation : largest shift of a node in a random direction, as a share of its shortest edge; halved, and
+        again, where a tetrahedron or a facet would turn over
     seed : decides directions and facets
 
     Raises
@@ -105,7 +105,7 @@ def _shortest_edges(points: Array, cells: Index) -> Array:
 
 
 def _squeeze(points: Array, mesh: Mesh, ratio: float, random: np.random.Generator) -> int:
-    """Move one corner of some facets, no two of which share a neighbour; `points` change. How many it were."""
+    """Squeeze some facets by moving one corner in `points`; no two share a neighbour. Returns their number."""
     triangles = mesh.surface_nodes[mesh.triangles]
     wanted = max(1, round(SLIVER_SHARE * len(triangles)))
     facets_of = _incidence(triangles, len(points))
@@ -140,7 +140,7 @@ def _squeeze(points: Array, mesh: Mesh, ratio: float, random: np.random.Generato
 
 
 def _squeezed(corners: Array, ratio: float) -> tuple[int, Array]:
-    """Which corner of a facet faces its longest edge, and where it goes."""
+    """The corner that faces a facet's longest edge, and its new place (3,)."""
     lengths = [float(np.linalg.norm(corners[k - 1] - corners[k - 2])) for k in range(3)]
     k = int(np.argmax(lengths))
     along = (corners[k - 2] - corners[k - 1]) / lengths[k]
@@ -157,7 +157,7 @@ def _facets_sound(points: Array, triangles: Index, before: Array) -> bool:
 
 
 def _cells_sound(points: Array, mesh: Mesh, cells_of: sparse.csr_array, node: int, facet: Index) -> bool:
-    """Whether the tetrahedra at a node are, the one on its sliver apart, which must not turn over."""
+    """Whether all tetrahedra at a node are sound; the one on its sliver need only not turn over."""
     cells = mesh.tetrahedra[_row(cells_of, node)]
     flat: Mask = np.isin(cells, facet).sum(axis=1) == 3
     return bool(

@@ -52,13 +52,13 @@ _OPTIONS = {
 def build_mesh(geometry: Geometry, *, volume: bool = True) -> Mesh:
     """Mesh a geometry: tetrahedra and their boundary, or with `volume=False` the same surface alone.
 
-    Slivers and perturbed nodes, where asked for, are those that the tetrahedra stand, where there are any.
+    Slivers and perturbed nodes are limited by the tetrahedra, where there are any.
 
-    Deterministic: equal inputs and package versions give equal bytes. `Mesh.quality` holds counts, volume
-    [m^3], area [m^2], `worst_sicn`, `seconds` and, for an imported mesh, what was repaired and how far the
-    new surface is from the imported one [m].
+    Deterministic: equal inputs and package versions give equal bytes. `Mesh.quality` holds counts, volume [m^3],
+    area [m^2], `worst_sicn`, `seconds` and, for an imported mesh, the repairs and the distance of the new surface
+    from the imported one [m].
 
-    Raises MeshError, in one sentence, for a file, a mesh size or a mesh that cannot be used.
+    Raises MeshError, in one sentence, for an unusable file, mesh size or mesh.
     """
     started = time.perf_counter()
     if isinstance(geometry, FileBody):
@@ -95,7 +95,7 @@ def _solid(geometry: Shape, volume: bool) -> Mesh:
 
 
 def _of_sphere(geometry: SphereImage, volume: bool) -> Mesh:
-    from .remesh import unit_sphere  # VTK is slow to load: only where a surface is made anew
+    from .remesh import unit_sphere  # VTK is slow to load: only to make a new surface
 
     sphere, triangles = unit_sphere(_SUBDIVISIONS)
     points = centred(geometry.of_sphere(sphere), max(geometry.extents()))
@@ -109,7 +109,7 @@ def _of_file(geometry: FileBody, volume: bool) -> Mesh:
     given, centre = imported_surface(geometry, volume=volume)
     mesh = fill_surface(given.points, given.cells, geometry.mesh_size or 0.0, volume)
     quality = {**mesh.quality, **given.repairs}
-    return replace(mesh, points=mesh.points + centre, quality=quality)  # where the file has it
+    return replace(mesh, points=mesh.points + centre, quality=quality)  # at the file's place
 
 
 def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool = True) -> Mesh:
@@ -122,7 +122,7 @@ def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool
     for k in range(int(shell.max()) + 1):
         used, local = np.unique(triangles[shell == k], return_inverse=True)
         nodes, facets = uniform_surface(points[used], local.reshape(-1, 3), mesh_size)
-        made.append((nodes, (facets[:, ::-1] if k else facets) + count))  # of a cavity they come outward
+        made.append((nodes, (facets[:, ::-1] if k else facets) + count))  # facets of a cavity come outward
         count += len(nodes)
     nodes, facets = (np.concatenate(parts) for parts in zip(*made, strict=True))
     nodes, fixed = without_intersections(nodes, facets)
@@ -144,9 +144,9 @@ def fill_surface(points: Array, triangles: Index, mesh_size: float, volume: bool
 
 
 def _unit(extent: float) -> float:
-    """The power of two nearest to a body's extent: gmsh's lengths, where its fixed tolerances do no harm.
+    """The power of two nearest to a body's extent [m], as gmsh's unit of length: its tolerances are absolute.
 
-    Scaling by a power of two is exact: nodes come back as they were given.
+    Scaling by a power of two is exact: nodes come back unchanged.
     """
     return 2.0 ** round(np.log2(extent))
 
@@ -177,7 +177,7 @@ def _mesh_with_gmsh(add_model: Callable[[], None], mesh_size: float, unit: float
         tags, coordinates, _ = gmsh.model.mesh.getNodes()
         triangles = _elements(_TRIANGLE, 3)
         tetrahedra = _elements(_TETRAHEDRON, 4)
-    # Surface nodes have the lower tags: in tag order they come first, with or without the inside.
+    # surface nodes have lower tags: in tag order they come first, with or without the inside
     elements = tetrahedra if volume else triangles
     used = np.unique(elements)
     order = np.argsort(tags)
@@ -192,7 +192,7 @@ def _elements(kind: int, width: int) -> Index:
 
 
 def _add_surface(points: Array, triangles: Index) -> None:
-    """Add the inside of a closed triangle surface, which stays as it is."""
+    """Add the inside of a closed triangle surface; the triangles are kept."""
     shell, loops = shells(points, triangles), []
     for k in range(int(shell.max()) + 1):
         surface = gmsh.model.addDiscreteEntity(2)

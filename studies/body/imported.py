@@ -30,9 +30,9 @@ from .topology import mesh_from_tetrahedra, separate_pieces
 
 
 def imported_surface(geometry: FileBody, *, volume: bool) -> tuple[Clean, Array]:
-    """The surface of a file about its centre (3,), both in metres, fit to be meshed as asked. Raises MeshError.
+    """The surface of a file about its centre, and the centre (3,), both in metres, ready to mesh. Raises MeshError.
 
-    It is meshed about its centre, so that far from the origin no digit is lost.
+    Meshing about the centre loses no digits far from the origin.
     """
     clean = _clean(geometry.path, file_digest(geometry.path), geometry.repair or "")
     points, centre, scale = _in_metres(clean.points, geometry)
@@ -49,7 +49,7 @@ def imported_surface(geometry: FileBody, *, volume: bool) -> tuple[Clean, Array]
 
 @lru_cache(maxsize=1)
 def _clean(path: Path, digest: str, repair: str) -> Clean:  # noqa: ARG001
-    """What is in the file with these bytes, which a study of several mesh sizes asks for again and again."""
+    """Content of the file with this digest; a study of several mesh sizes asks for it repeatedly."""
     return clean_of(path, repair)
 
 
@@ -62,11 +62,11 @@ def imported_tetrahedra(geometry: FileBody) -> Mesh:
     repairs = {"scale": scale, **clean.repairs}
     mesh = mesh_from_tetrahedra(points, clean.cells, groups=clean.groups, quality=repairs)
     _check_cavities(geometry, clean.points[mesh.surface_nodes], mesh.triangles)
-    return replace(mesh, points=mesh.points + centre)  # where the file has it
+    return replace(mesh, points=mesh.points + centre)  # at the file's place
 
 
 def _check_cavities(geometry: FileBody, points: Array, triangles: Index) -> None:
-    """Refuses cavities that the geometry does not tell, and told ones that are not there; `points` of the file."""
+    """Refuse undeclared cavities, and declared ones that are missing; `points` are those of the file."""
     shell = shells(points, triangles)
     if shell.any() and geometry.cavities is None:
         remedy = ', or say what fills those inside: cavities = "empty" or "fluid"'
@@ -77,11 +77,11 @@ def _check_cavities(geometry: FileBody, points: Array, triangles: Index) -> None
 
 @contextmanager
 def named(geometry: FileBody) -> Iterator[None]:
-    """Errors begin with the name of the file."""
+    """Prefix errors with the name of the file."""
     try:
         yield
     except MeshError as error:
-        told = str(error).removeprefix(f"{geometry.path.name}: ")  # as of one whose bytes cannot be read
+        told = str(error).removeprefix(f"{geometry.path.name}: ")  # already named if its bytes cannot be read
         raise MeshError(f"{geometry.path.name}: {told}", *error.place) from error
 
 

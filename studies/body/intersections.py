@@ -1,4 +1,4 @@
-"""Where a triangle surface cuts itself, and how such places are smoothed out: numpy and scipy only."""
+"""Finds where a triangle surface cuts itself, and smooths such places: numpy and scipy only."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ def intersecting_facets(points: Array, triangles: Index) -> Index:
 
 
 def without_intersections(points: Array, triangles: Index) -> tuple[Array, int]:
-    """Points (n, 3) moved so that no facets intersect, and how many pairs did before.
+    """Points (n, 3) moved so that no facets intersect, and the number of intersecting pairs before.
 
-    Nodes about the bad places are drawn to the mean of their neighbours, over and over. Raises MeshError
-    where that does not help within `_FARTHEST` edges.
+    Nodes near an intersection move repeatedly to the mean of their neighbours. Raises MeshError if that does not
+    help within `_FARTHEST` edges.
     """
     bad = intersecting_facets(points, triangles)
     found = len(bad)

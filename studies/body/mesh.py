@@ -1,4 +1,4 @@
-"""A tetrahedral mesh and its boundary surface as plain arrays: what every model is built on."""
+"""A tetrahedral mesh and its boundary surface as plain arrays, on which every model is built."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from solver_common.arrays import Array, Index, Mask
 from .surface_measures import shells
 
 T = TypeVar("T")
-_MOST_KNOWN = 64  # things remembered on a mesh: contacts of a sweep, of some 100 kB each
+_MOST_KNOWN = 64  # results remembered on a mesh: contacts of a sweep, of some 100 kB each
 
 
 def read_only(value: T) -> T:
-    """The same value, with every array in it closed to writing: models share what they are given."""
+    """The same value with all its arrays read-only: models share their input."""
     if isinstance(value, np.ndarray):
         value.flags.writeable = False
     elif isinstance(value, Mapping):
@@ -46,7 +46,7 @@ class Mesh:
     groups : named sets of surface nodes, (N,) masks
     volumes : named sets of tetrahedra, (m,) masks
     quality : figures for the record, such as `worst_sicn` and `surface_distance`
-    moved : (N,) largest distance between the surface and that of the file near each node [m], None of other bodies
+    moved : (N,) largest distance between the surface and that of the file near each node [m], None for other bodies
     """
 
     points: Array
@@ -80,11 +80,11 @@ class Mesh:
 
     @cached_property
     def known(self) -> dict[Hashable, Any]:
-        """What has been worked out on this mesh alone, by what was asked; see `remembered`."""
+        """Results computed on this mesh alone, by key; see `remembered`."""
         return {}
 
     def remembered(self, asked: Hashable, work: Callable[[], T]) -> T:
-        """What `work` gives, done once for a mesh: a pure function of the mesh and of what is asked."""
+        """The result of `work`, computed once for a mesh and key; it must depend on these two alone."""
         if asked not in self.known:
             if len(self.known) >= _MOST_KNOWN:
                 self.known.clear()

@@ -1,9 +1,9 @@
 """Surface and tetrahedral mesh files to arrays and back, by trimesh, VTK, gmsh and meshio.
 
-Of the trial files (tests/body/test_mesh_files.py: 16 sound ones, each cut at 64 places) none is silently wrong with
-these readers and the checks of `repair` and `topology`. Others were: VTK's of OBJ and PLY have single precision,
-meshio loses overlapping groups of MSH. Readers crash, or ask for any memory: `read_apart` calls them.
-Errors do not name the file; the caller does.
+With these readers and the checks of `repair` and `topology` no trial file is silently misread
+(tests/body/test_mesh_files.py: 16 sound files, each cut at 64 places). Other readers misread some: VTK's of OBJ
+and PLY have single precision, meshio loses overlapping groups of MSH. Readers may crash or use unlimited memory:
+`read_apart` calls them. Errors do not name the file; the caller does.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _HOLDS = {
     ".vtu": "an UnstructuredGrid",
     ".vtk": "an UNSTRUCTURED_GRID (write a surface as STL, OBJ, PLY or VTP)",
 }
-# gmsh's type of each first-order element that may stand in a file; only tetrahedra are used
+# gmsh types of the first-order elements allowed in a file; only tetrahedra are used
 _GMSH_TETRAHEDRON, _GMSH_CELLS = 4, {15, 1, 2, 3, 4}
 
 
@@ -58,7 +58,7 @@ def _trimesh_surface(path: Path) -> tuple[Array, Index]:
             points, triangles = np.asarray(found.vertices, dtype=np.float64), np.asarray(found.faces)
         except MemoryError:
             raise
-        except Exception as error:  # whatever its parsing of a damaged file runs into
+        except Exception as error:  # any error of parsing a damaged file
             raise _unreadable(path) from error
     return points.reshape(-1, 3), triangles.reshape(-1, 3).astype(np.int64)
 
@@ -83,10 +83,9 @@ def _vtk_surface(path: Path) -> tuple[Array, Index]:
 def read_tetrahedra(path: Path) -> tuple[Array, Index, dict[str, Mask]]:
     """Points (n, 3), tetrahedra (m, 4) and physical groups as masks (n,) of a VTU, legacy VTK or MSH file.
 
-    As they stand in it; only an MSH file has groups. One without a name is called by its dimension and number,
-    as in `surface-3`; of two with one name the lower dimension counts. Raises MeshError for a damaged or
-    truncated file and for other cells than four-node tetrahedra (facets, lines and vertices beside them are
-    passed over).
+    Only an MSH file has groups. One without a name is named by its dimension and number, as `surface-3`; of two
+    with the same name the lower dimension counts. Raises MeshError for a damaged or truncated file, and for cells
+    other than four-node tetrahedra; facets, lines and vertices beside them are skipped.
     """
     if path.suffix.lower() == ".msh":
         return _gmsh_tetrahedra(path)
@@ -107,9 +106,9 @@ def read_tetrahedra(path: Path) -> tuple[Array, Index, dict[str, Mask]]:
 
 
 def read_point_fields(path: Path) -> tuple[Array, dict[str, Array]]:
-    """Points (n, 3) of a VTU or legacy VTK file, and what it tells of each as a vector: name -> (n, 3).
+    """Points (n, 3) of a VTU or legacy VTK file, and its vector fields at them: name -> (n, 3).
 
-    Raises MeshError for an unreadable or damaged file; its cells do not matter.
+    Raises MeshError for an unreadable or damaged file; its cells are not used.
     """
     grid = _vtk(path)
     points, data = _vtk_points(grid), grid.GetPointData()
@@ -121,7 +120,7 @@ def read_point_fields(path: Path) -> tuple[Array, dict[str, Array]]:
 
 
 def _vtk(path: Path) -> Any:
-    """What a file of VTK holds. Raises MeshError where VTK has anything to complain about."""
+    """The data of a VTK file. Raises MeshError if VTK reports any problem."""
     from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
     from vtkmodules.vtkIOLegacy import vtkUnstructuredGridReader
     from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
@@ -137,7 +136,7 @@ def _vtk(path: Path) -> Any:
     if suffix == ".vtk":
         reader.ReadAllVectorsOn()
         data = path.read_bytes()
-        if b"\nASCII" in data[:600] and not data.endswith(b"\n"):  # VTK does not miss the end of a number
+        if b"\nASCII" in data[:600] and not data.endswith(b"\n"):  # VTK misses a truncated last number
             raise MeshError("is truncated: its last line has no end; write it again")
     reader.SetFileName(str(path))
     window, verbosity = vtkOutputWindow.GetInstance(), vtkLogger.GetCurrentVerbosityCutoff()
@@ -176,9 +175,9 @@ def _gmsh_tetrahedra(path: Path) -> tuple[Array, Index, dict[str, Mask]]:
     import gmsh
 
     data = path.read_bytes()
-    if not data.startswith((b"$MeshFormat", b"$Comments")):  # gmsh runs what is not one of its mesh files
+    if not data.startswith((b"$MeshFormat", b"$Comments")):  # gmsh executes other files as scripts
         raise MeshError("is not a mesh file of gmsh")
-    if b"$EndElements" not in data:  # gmsh does not miss the end of the last number
+    if b"$EndElements" not in data:  # gmsh does not notice a truncated last number
         raise MeshError("is truncated or has no complete Elements section; write it again")
     gmsh.initialize([], readConfigFiles=False, run=False, interruptible=False)
     try:
@@ -197,7 +196,7 @@ def _gmsh_tetrahedra(path: Path) -> tuple[Array, Index, dict[str, Mask]]:
         members = {
             gmsh.model.getPhysicalName(dim, group)
             or f"{_DIMENSIONS[dim]}-{group}": gmsh.model.mesh.getNodesForPhysicalGroup(dim, group)[0]
-            for dim, group in reversed(gmsh.model.getPhysicalGroups())  # from volumes down to points
+            for dim, group in reversed(gmsh.model.getPhysicalGroups())  # volumes first, points last
         }
     except Exception as error:
         if type(error) is not Exception:  # gmsh raises nothing more specific than Exception itself

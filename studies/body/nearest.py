@@ -29,16 +29,16 @@ def nearest_on_surface(queries: Array, points: Array, triangles: Index) -> tuple
 
 
 def distances_and_farthest(points: Array, other: Array, triangles: Index) -> tuple[Array, float]:
-    """How far a displaced copy (N, 3) of a surface is from another copy (N, 3).
+    """Distances between two displaced copies (N, 3) of a surface.
 
     Returns
     -------
-    distance : (N,) of its nodes to the other surface [m]
-    farthest : the largest of these and of the distances of the other's nodes to it [m]
+    distance : (N,) distance of the nodes to the other surface [m]
+    farthest : largest distance of a node of either copy to the other surface [m]
     """
     there = _distances(points, other, triangles)
     farthest = float(there.max())
-    # a node of the other surface is no further from this one than from the node that it corresponds to
+    # a node of the other surface is at most as far from this one as from its own copy
     doubtful = np.linalg.norm(points - other, axis=1) > farthest
     if doubtful.any():
         farthest = max(farthest, float(_distances(other[doubtful], points, triangles).max()))
@@ -50,7 +50,7 @@ def _distances(queries: Array, points: Array, triangles: Index) -> Array:
 
 
 def _found(queries: Array, points: Array, triangles: Index) -> tuple[Index, Array]:
-    """(Q,) facets and (Q, 3) the nearest points in them; facets without an area are passed over."""
+    """(Q,) facets and (Q, 3) the nearest points in them; facets without area are skipped."""
     # slow to load, and reading results needs none
     from vtkmodules.util import numpy_support
     from vtkmodules.vtkCommonCore import reference, vtkPoints
@@ -58,7 +58,7 @@ def _found(queries: Array, points: Array, triangles: Index) -> tuple[Index, Arra
 
     as_vtk: Any = numpy_support.numpy_to_vtk  # untyped
     as_ids: Any = numpy_support.numpy_to_vtkIdTypeArray
-    middle = points.mean(axis=0)  # about which fewer digits are lost
+    middle = points.mean(axis=0)  # centring loses fewer digits
     places, corners, surface = vtkPoints(), vtkCellArray(), vtkPolyData()
     places.SetData(as_vtk(np.ascontiguousarray(points - middle)))
     corners.SetData(3, as_ids(np.ascontiguousarray(triangles, dtype=np.int64).ravel()))
@@ -68,7 +68,7 @@ def _found(queries: Array, points: Array, triangles: Index) -> tuple[Index, Arra
     locator.SetDataSet(surface)
     locator.BuildLocator()
     facets, nearest = np.empty(len(queries), dtype=np.int64), np.empty((len(queries), 3))
-    facet: Any = reference(0)  # which VTK's stubs call a number
+    facet: Any = reference(0)  # VTK's stubs type it as a number
     part: Any = reference(0)
     square: Any = reference(0.0)
     spot = [0.0, 0.0, 0.0]

@@ -1,6 +1,6 @@
-"""A mesh file read and cleaned in a process of its own, which may end as it likes: readers crash on damaged files.
+"""Reads and cleans a mesh file in a separate process: readers crash on damaged files.
 
-That process has little memory and time, by the file's size, and hands back arrays or one sentence.
+That process has little memory and time, by the file's size, and returns arrays or one sentence.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from ..study.errors import MeshError
 from ..study.shapes import VOLUME_SUFFIXES
 from .repair import Clean, clean_surface, clean_tetrahedra
 
-# a sound file takes a tenth of it: text is the worst, with 100 bytes for a number of 2
+# a sound file needs a tenth of this; text is the worst, with 100 bytes for a number of 2
 MEMORY, MEMORY_PER_BYTE = 1_000_000_000, 100
 SECONDS, SECONDS_PER_BYTE = 60.0, 3e-6
 
-_NO_MEMORY = 3  # exit code of a reader that says so
+_NO_MEMORY = 3  # exit code of a reader that reports lack of memory
 _DAMAGED = "it is damaged or of another kind"
 
 
@@ -32,17 +32,17 @@ def clean_of(path: Path, repair: str = "") -> Clean:
 
 
 def point_fields_of(path: Path) -> tuple[Array, dict[str, Array]]:
-    """`mesh_file.read_point_fields` of a file that may be damaged, or unpack to any size. Raises MeshError."""
+    """`mesh_file.read_point_fields` for a file that may be damaged or unpack to any size. Raises MeshError."""
     found = _apart("fields", path)
     return found["points"], found["fields"]
 
 
 def _apart(what: str, path: Path) -> dict[str, Any]:
-    """What `main` answers, by name. Raises MeshError."""
+    """The answer of `main`, by name. Raises MeshError."""
     size = path.stat().st_size
     memory, seconds = MEMORY + MEMORY_PER_BYTE * size, SECONDS + SECONDS_PER_BYTE * size
     command = [sys.executable, "-P", "-m", "vdmbench.body.read_apart", what, str(path), str(memory)]
-    here = str(Path(__file__).parents[2])  # the very code of this process, wherever it was found
+    here = str(Path(__file__).parents[2])  # import the same code as this process
     code = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
     try:
         ended = subprocess.run(
@@ -57,7 +57,7 @@ def _apart(what: str, path: Path) -> dict[str, Any]:
     except subprocess.TimeoutExpired:
         raise MeshError(f"takes more than {seconds:.0f} s to read; {_DAMAGED}") from None
     too_large = f"takes more than {memory / 1e9:.1f} GB of memory to read; {_DAMAGED}"
-    if ended.returncode < 0:  # a library that is refused memory may crash as well as say so
+    if ended.returncode < 0:  # a library without memory may crash instead of reporting it
         raise MeshError(f"ends its reader with signal {-ended.returncode}, or {too_large}")
     if ended.returncode == _NO_MEMORY:
         raise MeshError(too_large)
@@ -70,7 +70,7 @@ def _apart(what: str, path: Path) -> dict[str, Any]:
 
 
 def read_clean(path: Path, repair: str = "") -> Clean:
-    """What is in a file, read in this process. Raises MeshError, and whatever the readers run into."""
+    """Content of a file, read in this process. Raises MeshError, and any error of the readers."""
     from .mesh_file import read_surface, read_tetrahedra
 
     if path.suffix.lower() in VOLUME_SUFFIXES:
@@ -79,7 +79,7 @@ def read_clean(path: Path, repair: str = "") -> Clean:
 
 
 def main(what: str, path: Path, memory: int) -> None:
-    """Read a file with so many bytes of memory; standard output gets the answer, and no word of the readers."""
+    """Read a file with at most `memory` bytes; standard output gets the answer, without output of the readers."""
     import resource
 
     from ..machine import limit_memory
@@ -98,7 +98,7 @@ def main(what: str, path: Path, memory: int) -> None:
     except MeshError as error:
         answer = packed(error=str(error))
     except MemoryError:
-        os._exit(_NO_MEMORY)  # at once: what is left to do would want memory too
+        os._exit(_NO_MEMORY)  # at once: a normal exit would need memory
     with os.fdopen(output, "wb") as file:
         file.write(answer)
 

@@ -1,7 +1,7 @@
 """Uniform refinement of a mesh, every tetrahedron into eight, with the same body, supports and loads.
 
-The flat facets of the coarse mesh stay flat: what changes from one level to the next is the discretisation alone,
-not the shape, not the area of a support.
+Facets of the coarse mesh stay flat. Between levels only the discretisation changes, not the shape or the area of
+a support.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from .topology import half_edges, tetrahedron_volumes
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """A mesh and its uniform refinements, the coarsest first, with the `parents` of `refine` of each refinement."""
+    """A mesh and its uniform refinements, coarsest first, and each refinement's `parents` from `refine`."""
 
     meshes: tuple[Mesh, ...]
     parents: tuple[Index, ...] = ()
 
     @property
     def finest(self) -> Mesh:
-        """The last of them."""
+        """The finest mesh."""
         return self.meshes[-1]
 
     def inherit(self, mask: Mask) -> Mask:
-        """A region's nodes on the finest mesh, of those on the coarsest."""
+        """Nodes of a region on the finest mesh, from those on the coarsest."""
         for mesh, parents in zip(self.meshes, self.parents, strict=False):
             mask = inherit(mask, mesh, parents)
         return mask
 
     def inherit_line(self, mask: Mask) -> Mask:
-        """The same of a line: its nodes, and the middles of the edges between them."""
+        """Nodes of a line on the finest mesh: the coarse nodes, and the middles of the edges between them."""
         for parents in self.parents:
             mask = np.asarray(mask[parents].all(axis=1))
         return mask
 
     def inherit_inside(self, mask: Mask) -> Mask:
-        """(m,) mask of tetrahedra on the finest mesh, of that on the coarsest."""
+        """(m,) mask of tetrahedra on the finest mesh, from that on the coarsest."""
         for mesh in self.meshes[:-1]:
             fine = _of_skfem(mesh).with_subdomains({"inside": np.flatnonzero(mask)}).refined()
             mask = np.isin(np.arange(fine.nelements), fine.subdomains["inside"])
@@ -52,7 +52,7 @@ class Hierarchy:
         """(S, N, 3) nodal forces on the finest mesh -> (S, n, 3) on the coarsest: half of each to either parent."""
         for parents in reversed(self.parents):
             coarser = np.zeros((int(parents.max()) + 1, len(force), force.shape[2]))
-            for end in parents.T:  # of an old node both are itself
+            for end in parents.T:  # the parents of an old node are both the node itself
                 np.add.at(coarser, end, 0.5 * force.swapaxes(0, 1))
             force = coarser.swapaxes(0, 1)
         return force
@@ -76,7 +76,7 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
     parents : (N, 2) for each surface node of the new mesh the two ends of the coarse edge that it halves;
         an old node twice
     """
-    # edges of the body may join two surface nodes through the inside: only those of facets lie on the surface
+    # edges of the body may join two surface nodes through the inside: use the edges of facets only
     pairs, number = np.unique(np.sort(half_edges(mesh.triangles), axis=1), axis=0, return_inverse=True)
     ends = mesh.surface_nodes[pairs]
     if len(mesh.tetrahedra):
@@ -101,10 +101,10 @@ def refine(mesh: Mesh) -> tuple[Mesh, Index]:
 
 
 def _split_inside(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:
-    """Points, the eight tetrahedra of each, and the points that halve the edges `pairs` (k, 2)."""
+    """Points, the eight parts of each tetrahedron, and the points that halve the edges `pairs` (k, 2)."""
     coarse = _of_skfem(mesh)
     fine = coarse.refined()
-    # the halves of a tetrahedron come with either orientation
+    # the parts of a tetrahedron may have either orientation
     tetrahedra = fine.t.T.astype(np.int64)
     inverted = tetrahedron_volumes(fine.p.T, tetrahedra) < 0
     tetrahedra[inverted, :2] = tetrahedra[inverted, 1::-1]
@@ -115,13 +115,13 @@ def _split_inside(mesh: Mesh, pairs: Index) -> tuple[Array, Index, Index]:
 
 
 def _of_skfem(mesh: Mesh) -> Any:
-    import skfem  # slow to load, and who only plans refines nothing
+    import skfem  # slow to load, and not needed to plan
 
     return skfem.MeshTet(mesh.points.T.copy(), mesh.tetrahedra.T.copy())
 
 
 def inherit(mask: Mask, mesh: Mesh, parents: Index) -> Mask:
-    """A region's nodes on the refined mesh: its old nodes, and the middles of the edges of its facets.
+    """A region's nodes on the refined mesh: its coarse nodes, and the middles of the edges of its facets.
 
     Parameters
     ----------

@@ -15,11 +15,11 @@ from ..study.errors import MeshError
 from .surface_measures import facet_areas
 from .topology import canonical_triangles, consistent_orientation
 
-# Edges of the sampled surface are at most mesh_size / 2.5: about 17 points for each node of the new surface.
-# Fewer leave uneven triangles, more only take longer.
+# Edges of the sampled surface are at most mesh_size / 2.5, which gives about 17 samples for each new node.
+# Fewer leave uneven triangles; more only take longer.
 _SAMPLES_PER_EDGE = 2.5
-_MOST_SAMPLES = 100  # for each node; more only where facets are needles
-_ATTEMPTS = 4  # with finer samples each: clusters of a coarse sample can touch themselves
+_MOST_SAMPLES = 100  # for each node; more are needed only for needle-like facets
+_ATTEMPTS = 4  # each with finer samples: clusters of a coarse sample can touch themselves
 
 
 def unit_sphere(subdivisions: int) -> tuple[Array, Index]:
@@ -50,7 +50,7 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
         clusters, weights = _clustered(polydata(samples, sample_triangles), n_nodes)
         corners = clusters[sample_triangles]
         a, b, c = corners.T
-        # a triangle for each triple of clusters that meets in a sample triangle
+        # a triangle for each triple of clusters that meet in a sample triangle
         facets = np.unique(canonical_triangles(corners[(a != b) & (b != c) & (c != a)]), axis=0)
         try:
             if len(np.unique(facets)) != n_nodes:
@@ -69,7 +69,7 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
 
 
 def caps(points: Array, faces: Index) -> Index:
-    """Facets that close the holes of a surface, between the nodes of their rims."""
+    """Facets that close the holes of a surface, between the nodes of the rims."""
     extent = float(np.ptp(points, axis=0).max())
     closed = polydata(points, faces).fill_holes(2.0 * extent)
     found: Index = np.asarray(closed.regular_faces, dtype=faces.dtype)[len(faces) :]
@@ -81,8 +81,8 @@ def surface_distance(
 ) -> tuple[float, Array]:
     """Mean distance between two surfaces, seen from both, and (N,) the largest near each node of the other.
 
-    In the unit of the points. The mean is weighted by area, over the middles of all edges; the largest includes
-    nodes and centroids, each counted at the nearest node.
+    Distances are in the unit of the points. The mean is weighted by area, over the middles of all edges. The
+    largest includes nodes and centroids; each counts at the nearest node.
     """
     from scipy.spatial import KDTree  # slow to load
 
@@ -111,9 +111,9 @@ def _closest(surface: pv.PolyData, points: Array) -> Array:
 def subdivided(
     points: Array, triangles: Index, longest_edge: float, *, max_points: int
 ) -> tuple[Array, Index]:
-    """The same surface with no edge longer than `longest_edge`: long edges are halved until none is left.
+    """The same surface with no edge longer than `longest_edge`; longer edges are halved repeatedly.
 
-    Raises MeshError where that takes more than `max_points`: the facets are needles.
+    Raises MeshError if that takes more than `max_points`: the facets are needles.
     """
     while len(points) <= max_points:
         n = len(points)
@@ -153,7 +153,7 @@ def _split(triangles: Index, middle: Index) -> Index:
 
 
 def _clustered(samples: pv.PolyData, n_clusters: int) -> tuple[Index, Array]:
-    """Cluster of each sample, and the area each sample stands for."""
+    """Cluster of each sample, and the area of each sample."""
     with warnings.catch_warnings():
         # pyacvd 0.3 uses an attribute that pyvista has renamed
         warnings.filterwarnings("ignore", message=".*_connectivity_array")

@@ -1,4 +1,4 @@
-"""Imported facets and tetrahedra made clean, or a clear error: numpy and scipy only."""
+"""Cleans imported facets and tetrahedra, or raises a clear error: numpy and scipy only."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _SAME_POINT = 1e-6  # of the largest extent: single precision (STL) keeps about 
 
 @dataclass(frozen=True)
 class Clean:
-    """What a file holds, made clean; every point is used.
+    """Clean content of a file; every point is used.
 
     Attributes
     ----------
     points : (n, 3), in the file's unit
     cells : (F, 3) facets of a closed, manifold surface, outward, or (m, 4) positive tetrahedra
-    repairs : how many points, facets and tetrahedra were merged, dropped, turned or added
+    repairs : numbers of points, facets and tetrahedra that were merged, dropped, turned or added
     groups : named sets of points, (n,) masks
     """
 
@@ -41,25 +41,25 @@ class Clean:
 
     @property
     def area(self) -> float:
-        """Of facets, in the square of the points' unit."""
+        """Area of the facets, in the square of the points' unit."""
         return float(facet_areas(self.points, self.cells).sum())
 
     @property
     def volume(self) -> float:
-        """Inside of facets, in the cube of the points' unit."""
+        """Volume inside the facets, in the cube of the points' unit."""
         return enclosed_volume(self.points, self.cells)
 
 
 def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:
-    """Merge equal points, drop facets without area, repeated facets and unused points, face all outward.
+    """Merge equal points, drop facets without area, repeated facets and unused points, orient all facets outward.
 
     Parameters
     ----------
-    repair : what else to do: "largest-piece" drops all but the piece with the most area, "fill-holes" closes holes
+    repair : further repairs: "largest-piece" keeps only the piece with the most area, "fill-holes" closes holes
         by facets between the nodes of their rims, "both" does one after the other
 
-    Raises MeshError for coordinates that are not finite, no facets, facets that name points that do not
-    exist, and what remains open, not manifold, one-sided, in pieces beside each other, or without an inside.
+    Raises MeshError for coordinates that are not finite, no facets, facets with points that do not exist, and a
+    result that is open, not manifold, one-sided, in pieces beside each other, or without an inside.
     """
     from scipy.spatial import KDTree  # slow to load: only where a file is read
 
@@ -73,7 +73,7 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:
     if extent == 0.0:
         raise MeshError("all points are the same; the file is damaged")
     close = KDTree(points[used]).query_pairs(_SAME_POINT * extent, output_type="ndarray")
-    target = pieces(len(used), close[:, 0], close[:, 1])  # of points at one place the first
+    target = pieces(len(used), close[:, 0], close[:, 1])  # the first point at each place
     renumbered = np.full(len(points), -1)
     renumbered[used] = target
     faces = _without_repeats(renumbered[triangles])
@@ -102,9 +102,9 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:
 
 
 def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask]) -> Clean:
-    """Drop unused points and repeated tetrahedra; where all are inverted (numbered the other way) turn all.
+    """Drop unused points and repeated tetrahedra; turn all if all are inverted (numbered the other way).
 
-    Raises MeshError for no tetrahedra, and for such as name points that do not exist.
+    Raises MeshError for no tetrahedra, and for points that do not exist.
     """
     if len(tetrahedra) == 0:
         raise MeshError(
@@ -126,7 +126,7 @@ def clean_tetrahedra(points: Array, tetrahedra: Index, groups: Mapping[str, Mask
 
 
 def _largest_piece(points: Array, faces: Index) -> Index:
-    """The facets of that piece which has the most area."""
+    """The facets of the piece with the most area."""
     piece = closed_pieces(faces)
     area = np.bincount(piece, weights=facet_areas(points, faces))
     largest: Index = faces[piece == area.argmax()]
@@ -134,9 +134,9 @@ def _largest_piece(points: Array, faces: Index) -> Index:
 
 
 def _without_repeats(faces: Index) -> Index:
-    """Facets with three different corners, each once; a fin, laid double on a closed surface, goes altogether.
+    """Facets with three different corners, each once; a fin, doubled on a closed surface, is removed entirely.
 
-    Facets whose three corners lie on a line stay: they hold their neighbours together.
+    Facets whose three corners lie on a line stay: they connect their neighbours.
     """
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]

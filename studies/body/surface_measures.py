@@ -1,4 +1,4 @@
-"""What is measured of a triangle surface and of fields on it: areas, normals, volume, norms, rigid motions."""
+"""Measures of a triangle surface and of fields on it: areas, normals, volume, norms, rigid motions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 from solver_common.closed_surfaces import closed_pieces
 
-_MOST_NORMALS = 300  # of facets that an extent is measured along
+_MOST_NORMALS = 300  # facet normals along which an extent is measured
 
 
 def facet_area_vectors(points: Array, triangles: Index) -> Array:
@@ -68,11 +68,11 @@ def piece_volumes(points: Array, triangles: Index, piece: Index, count: int) -> 
 
 
 def rigid_motions(points: Array, weights: Array) -> Array:
-    """(6, N, 3) rigid motions, infinitesimal and orthonormal by area; zero where one is another's multiple."""
+    """(6, N, 3) infinitesimal rigid motions, orthonormal by area; zero where one is a multiple of another."""
     x = points - np.average(points, axis=0, weights=weights)
     turns = np.array([np.cross(axis, x) for axis in np.eye(3)])
     shifts = np.broadcast_to(np.eye(3)[:, None, :], turns.shape) / np.sqrt(weights.sum())
-    # about the centroid a turn and a shift are orthogonal: only the turns need their Gram matrix (of inertia)
+    # about the centroid rotations and translations are orthogonal: only rotations need a Gram matrix
     values, vectors = np.linalg.eigh(np.einsum("ani,n,bni->ab", turns, weights, turns))
     proper = values > 1e-14 * values[-1]
     scale = np.where(proper, 1.0 / np.sqrt(np.where(proper, values, 1.0)), 0.0)
@@ -80,10 +80,11 @@ def rigid_motions(points: Array, weights: Array) -> Array:
 
 
 def turns(points: Array, displacements: Array, weights: Array) -> Array:
-    """(S, 3, 3) R - I, R the rotation of each deformed surface (S, N, 3): the finite one of weighted least squares.
+    """(S, 3, 3) R - I, R the rotation of each deformed surface (S, N, 3), finite, by weighted least squares.
 
-    Kabsch (1976, doi 10.1107/S0567739476001873): the polar factor of sum_i w_i y_i x_i^T about the centroids. By
-    Rodrigues' formula of its rotation vector, so that of a small turn nothing is lost beside I; of 1e-12 rad, none.
+    Kabsch (1976, doi 10.1107/S0567739476001873): the polar factor of sum_i w_i y_i x_i^T about the centroids.
+    Rodrigues' formula of the rotation vector gives R - I without loss of digits for small rotations; below 1e-12
+    rad it is zero.
     """
     from scipy.spatial.transform import Rotation  # slow to load
 
@@ -92,7 +93,7 @@ def turns(points: Array, displacements: Array, weights: Array) -> Array:
     left[:, :, 2] *= np.linalg.det(left @ right)[:, None]  # no reflection
     vectors = Rotation.from_matrix(left @ right).as_rotvec()
     vectors[np.linalg.norm(vectors, axis=1) < 1e-12] = (
-        0.0  # near rounding, where a differential turn is as good
+        0.0  # near rounding, where a differential rotation is as good
     )
     angles = np.linalg.norm(vectors, axis=1)[:, None, None]
     axes = np.cross(vectors[:, None, :], -np.eye(3)) / np.where(angles > 0.0, angles, 1.0)
@@ -100,10 +101,10 @@ def turns(points: Array, displacements: Array, weights: Array) -> Array:
 
 
 def deformations(points: Array, displacements: Array, weights: Array) -> Array:
-    """(S, N, 3) displacements in a frame that goes and turns with the body: its best-fit rigid motion removed [m].
+    """(S, N, 3) displacements less the best-fit rigid motion, in a frame that moves with the body [m].
 
-    The rotation is finite, see `turns`. To first order this is `without_motions`, which takes away what is left of
-    the turn by rounding.
+    The rotation is finite, see `turns`. To first order this is `without_motions`, which then removes the
+    rotation's rounding.
     """
     x = points - np.average(points, axis=0, weights=weights)
     back = np.swapaxes(turns(points, displacements, weights), 1, 2)
@@ -113,7 +114,7 @@ def deformations(points: Array, displacements: Array, weights: Array) -> Array:
 
 
 def rigid_parts(points: Array, displacements: Array, weights: Array) -> Array:
-    """(S, N, 3) the best-fit rigid motion of each of some displacements (S, N, 3), its rotation finite [m]."""
+    """(S, N, 3) best-fit rigid motion of displacements (S, N, 3), with a finite rotation [m]."""
     x = points - np.average(points, axis=0, weights=weights)
     shift = np.average(displacements, axis=1, weights=weights)[:, None]
     turned = turns(points, displacements, weights)
@@ -125,7 +126,7 @@ def rigid_parts(points: Array, displacements: Array, weights: Array) -> Array:
 
 
 def without_motions(motions: Array, displacements: Array, weights: Array) -> Array:
-    """(S, N, 3) displacements less their parts along orthonormal motions (6, N, 3): of what is a differential."""
+    """(S, N, 3) displacements less their components along orthonormal infinitesimal motions (6, N, 3)."""
     shares = np.tensordot(displacements * weights[:, None], motions, axes=((1, 2), (1, 2)))
     return displacements - np.tensordot(shares, motions, axes=1)
 
@@ -156,7 +157,7 @@ def ratio(part: Array, whole: Array) -> Array:
 
 
 def weighted_quantiles(values: Array, weights: Array, quantile: float) -> Array:
-    """(S,) of each row of (S, N) values the smallest at or below which at least `quantile` of the weight lies."""
+    """(S,) weighted quantile of each row (S, N): at least `quantile` of the weight is at or below this value."""
     order = np.argsort(values, axis=1)
     cumulative = np.cumsum(weights[order], axis=1)
     below = cumulative < quantile * cumulative[:, -1:] * (1 - 1e-12)
@@ -196,9 +197,9 @@ class Surface:
 
     @cached_property
     def smallest_extent(self) -> float:
-        """Least extent along the normals of facets and the principal axes of inertia [m].
+        """Least extent along normals of facets and the principal axes of inertia [m].
 
-        Of some `_MOST_NORMALS` different normals. Unlike an edge of the bounding box it turns with the body.
+        At most `_MOST_NORMALS` normals are tried. Unlike an edge of the bounding box, it turns with the body.
         """
         vectors = facet_area_vectors(self.points, self.triangles)
         normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

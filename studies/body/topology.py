@@ -1,6 +1,6 @@
 """Checks and small constructions on triangles and tetrahedra as plain arrays: numpy only.
 
-SciPy would cost each first look at a study a sixth of a second.
+Without SciPy, whose import would delay each first look at a study by a sixth of a second.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from ..study.errors import MeshError
 from .mesh import Mesh
 from .surface_measures import enclosed_volume, facet_areas, piece_volumes
 
-_MOST_TOLD = 3  # holes, or pieces
+_MOST_TOLD = 3  # holes or pieces in a message
 _LARGEST = 1e100  # coordinate
-_MOST_PLACES = 50  # of a wall, that are looked for inside the body
+_MOST_PLACES = 50  # points of a wall that are tested to lie inside the body
 # Faces of a positive tetrahedron, turned so that their normals point out of it.
 OUTWARD_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
@@ -83,8 +83,8 @@ def half_edges(triangles: Index) -> Index:
 def facet_pairs(points: Array, triangles: Index) -> tuple[Index, Index, Mask]:
     """Facets either side of each edge of a closed manifold surface.
 
-    Returns (E,) indices of both facets and an (E,) mask, true where the two run along the edge the same
-    way, so that one of them is turned over. Raises MeshError where an edge has not exactly two facets.
+    Returns (E,) indices of both facets and an (E,) mask, true where both run along the edge the same way: one of
+    them is then turned over. Raises MeshError for an edge without exactly two facets.
     """
     directed = half_edges(triangles)
     _, inverse, counts = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
@@ -104,12 +104,12 @@ def facet_pairs(points: Array, triangles: Index) -> tuple[Index, Index, Mask]:
 
 
 def _told_places(points: Array, parts: Index, label: Index, kind: str) -> str:
-    """How many connected places there are, and where and how large the first are, in the file's unit.
+    """Number of connected places, and position and size of the first ones, in the file's unit.
 
     Parameters
     ----------
     parts : (n, k) edges or facets
-    label : (n,) the same for all of a place
+    label : (n,) the number of each part's place
     """
     extent = float(np.ptp(points, axis=0).max())
     decimals = 2 - math.floor(math.log10(extent)) if extent else 0
@@ -125,17 +125,18 @@ def _told_places(points: Array, parts: Index, label: Index, kind: str) -> str:
 
 
 def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]:
-    """Facets turned so that all point away from the body, and how many were turned.
+    """Facets oriented away from the body, and how many were turned.
 
-    Closed pieces within the outer one, and not within each other, are the walls of cavities, and point into these.
-    Ours: trimesh's repair of winding tells neither a one-sided surface, nor a cavity from a piece beside the body.
+    Closed pieces within the outer one, and not within each other, are the walls of cavities; their facets point
+    into these. trimesh's repair of winding detects no one-sided surface, and takes pieces beside
+    the body for cavities.
 
-    Raises MeshError for an open, non-manifold or one-sided surface, pieces beside each other, parts that touch at a
-    vertex only, or no volume inside.
+    Raises MeshError for an open, non-manifold or one-sided surface, pieces beside each other, parts that touch at
+    a vertex only, or no volume inside.
     """
     first, second, same_way = facet_pairs(points, triangles)
     n_facets = len(triangles)
-    # every facet twice, as it is and turned over; of neighbours those sides are joined that agree
+    # every facet twice, as it is and turned over; join those sides of neighbours that agree
     joined = np.concatenate([first, first + n_facets])
     agreeing = np.concatenate([second + n_facets * same_way, second + n_facets * ~same_way])
     labels = pieces(2 * n_facets, joined, agreeing).reshape(2, n_facets)
@@ -163,7 +164,7 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
 
 
 def separate_pieces(points: Array, triangles: Index, label: Index, remedy: str = "") -> MeshError:
-    """What is said of a surface in pieces, by a number (F,) of each facet's."""
+    """The error for a surface in pieces; `label` (F,) is the piece of each facet."""
     return MeshError(
         f"the surface has separate pieces, in {_told_places(points, triangles, label, 'facets')}; keep one closed "
         f'piece, or give repair = "largest-piece"{remedy}'
@@ -190,7 +191,7 @@ def check_vertex_fans(triangles: Index) -> None:
 
 
 def check_finite(points: Array) -> None:
-    """Raise MeshError for coordinates that are NaN, infinite or so large that their squares are."""
+    """Raise MeshError for coordinates that are NaN, infinite, or so large that their squares overflow."""
     bad = int(np.count_nonzero(~(np.abs(points) < _LARGEST).all(axis=1)))
     if bad:
         raise MeshError(
@@ -208,9 +209,9 @@ def mesh_from_tetrahedra(
 ) -> Mesh:
     """The Mesh of positive tetrahedra, with its boundary extracted, checked and described.
 
-    `groups` are masks over `points`: named sets of the surface nodes in them, and of the tetrahedra that have all
-    their nodes in them. Raises MeshError for
-    coordinates that are not finite, inverted or flat tetrahedra, and a boundary that is no closed manifold surface.
+    `groups` are masks over `points`: they name sets of surface nodes, and of tetrahedra with all their nodes in
+    the mask. Raises MeshError for coordinates that are not finite, inverted or flat tetrahedra, and a boundary
+    that is no closed manifold surface.
     """
     check_finite(points)
     check_tetrahedra(points, tetrahedra)
@@ -234,7 +235,7 @@ def mesh_from_tetrahedra(
 def mesh_from_triangles(
     points: Array, triangles: Index, *, quality: Mapping[str, float] | None = None
 ) -> Mesh:
-    """The Mesh of a closed surface without an inside; the checks are those of `mesh_from_tetrahedra`."""
+    """The Mesh of a closed surface without an inside, with the checks of `mesh_from_tetrahedra`."""
     check_finite(points)
     outward, _ = consistent_orientation(points, triangles)
     return _described(points, np.empty((0, 4), dtype=np.int64), canonical_triangles(outward), quality or {})
@@ -272,7 +273,7 @@ def surface_only(mesh: Mesh) -> Mesh:
 
 
 def check_tetrahedra(points: Array, tetrahedra: Index) -> None:
-    """Raise MeshError for none, and for flat or inverted ones."""
+    """Raise MeshError for no tetrahedra, and for flat or inverted ones."""
     if len(tetrahedra) == 0:
         raise MeshError("the mesh holds no tetrahedra; give a volume mesh of four-node tetrahedra")
     sicn = tetrahedron_sicn(points, tetrahedra)

@@ -24,7 +24,7 @@ Do = Callable[[argparse.Namespace], int]
 
 
 class Verb(NamedTuple):
-    """What a verb is said to do, what it takes, and what does it."""
+    """Summary, arguments and function of a verb."""
 
     summary: str
     arguments: tuple[Option, ...]
@@ -46,7 +46,7 @@ def verb(name: str, summary: str, *arguments: Option) -> Callable[[Do], Do]:
 
 @cache
 def verbs() -> dict[str, Verb]:
-    """Every verb of the files `verb*.py` by its name, in the order in which they are told."""
+    """Every verb of the files `verb*.py` by its name, in the order of the help."""
     for module in iter_modules(import_module(__package__).__path__):
         if module.name.startswith("verb"):
             import_module(f".{module.name}", __package__)
@@ -74,7 +74,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 class _Version(argparse.Action):
-    """Prints the version of the installed package, which is looked up only then."""
+    """Prints the version of the installed package, looked up only on demand."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version
@@ -83,11 +83,11 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-# --- what arguments may be, each told where it is not ---
+# --- types of arguments; a value of another type is refused with a message ---
 
 
 def run_directory(text: str) -> Path:
-    """A directory with a plan, or one that has lost it, which is not the command's fault. Raises InputError."""
+    """A directory with a plan, or one that has lost it, which is reported later. Raises InputError."""
     path = Path(text)
     if not any(map(os.path.exists, (path / "plan.json", path / "cases"))):
         raise InputError(f"{text}: not a run directory, such as results/runs/NAME (it has no plan.json)")
@@ -95,14 +95,14 @@ def run_directory(text: str) -> Path:
 
 
 def place(text: str) -> Path:
-    """A file or a directory to write; "" would be the directory that one stands in."""
+    """A file or a directory to write; "" is refused, as it would be the current directory."""
     if not text.strip():
         raise argparse.ArgumentTypeError("name a place to write to, or leave the option out")
     return Path(text)
 
 
 def _number(pattern: str, kind: Callable[[str], Any], told: str) -> Callable[[str], Any]:
-    """What reads a number above 0 that is written as a pattern has it."""
+    """A reader of numbers above 0 that match a pattern."""
 
     def read(text: str) -> Any:
         if re.fullmatch(pattern, text) is None or not (number := kind(f"0{text}")) > 0:
@@ -133,12 +133,12 @@ def option(*words: str, **how: Any) -> Option:
 
 
 def output(word: str, what: str, told: str, **how: Any) -> Option:
-    """One that names a place to write to."""
+    """An argument that names a place to write to."""
     return option(word, type=place, metavar=what, help=told, **how)
 
 
 def flag(word: str, told: str) -> Option:
-    """One that is there or not."""
+    """An argument without a value."""
     return option(word, action="store_true", help=told)
 
 

@@ -1,4 +1,4 @@
-"""The command `vdmbench`: what its end means to the shell. It heeds Ctrl-C before it loads the rest of itself."""
+"""The command `vdmbench`: its exit codes. It handles Ctrl-C before it loads the rest."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import signal
 import sys
 from collections.abc import Sequence
 
-# made between two looks for garbage, which take a quarter of the time of imports if frequent
+# objects between two garbage collections, which at the default take a quarter of the time of imports
 _OBJECTS = 200_000
 
 
 class _Interrupt:
-    """What Ctrl-C, SIGTERM and the end of a terminal (SIGHUP) do: stop the verb, and nothing once it has stopped.
+    """Handler of Ctrl-C, SIGTERM and SIGHUP: stops the verb, and does nothing once it has stopped.
 
-    What falls into an import can come out as another error, as that of a library or a file that cannot be loaded.
+    During an import the exception can surface as another error, as of a library or a file that cannot be loaded.
     """
 
     def __init__(self) -> None:
@@ -31,17 +31,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of `vdmbench`: ends the process with the exit code of the verb."""
     interrupt = _Interrupt()
     for number in (signal.SIGINT, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a script, or by nohup
+        if signal.getsignal(number) is not signal.SIG_IGN:  # ignored in a script's background, or under nohup
             signal.signal(number, interrupt)
     signal.signal(signal.SIGTERM, interrupt)
     gc.set_threshold(_OBJECTS)
-    # which would be looked for in every installed package
+    # pydantic would look for plugins in every installed package
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:
         from ..machine import require_memory
 
         if hasattr(sys.stdout, "reconfigure"):
-            # what its encoding lacks becomes an escape; what does not get out is told at the end
+            # characters that the encoding lacks become escapes; output errors are reported at the end
             sys.stdout.reconfigure(errors="backslashreplace", write_through=False)
         require_memory()
         from .arguments import parse
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         options = parse(arguments)
         code = options.verb(options)
         interrupt.stopped = True
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- told, whatever it is
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001 -- reported, whatever it is
         interrupt.stopped = True
         if interrupt.received or isinstance(error, KeyboardInterrupt):
             from .output import INTERRUPTED, complain
@@ -58,32 +58,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
         else:
             code = _complain_of(error)
     _flush_output()
-    gc.freeze()  # the end is no time to look for garbage
+    gc.freeze()  # no garbage collection at the end
     sys.exit(code)
 
 
 def _flush_output() -> None:
-    """What does not get out is told, unless its reader is gone; the exit code stays: all is done."""
+    """Report output that could not be written, unless its reader is gone; the exit code stays: all work is done."""
     from .output import OK, complain
 
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for Python's own flush at the end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # so that Python's own flush at exit succeeds
         if not isinstance(error, BrokenPipeError):
             complain(f"standard output: {error.strerror}; what was to be shown there is incomplete", OK)
 
 
 def _complain_of(error: BaseException) -> int:
-    """What is wrong, and the exit code of an error; a ValueError of ours always carries a sentence."""
+    """Report an error and return its exit code; a ValueError of ours always has a sentence."""
     from ..study.errors import install_line
     from .output import BUG, DAMAGED, INTERRUPTED, MACHINE, USAGE, complain, tell
 
     if line := install_line(error):
         return complain(f"{error}; install it: {line}", MACHINE)
     match error:
-        case BrokenPipeError():  # nobody reads any more
+        case BrokenPipeError():  # the reader is gone
             return INTERRUPTED
         case MemoryError():
             return complain(str(error) or "out of memory", MACHINE)

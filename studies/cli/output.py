@@ -1,4 +1,4 @@
-"""What the verbs of the command line share: tables, progress, complaints, exit codes, the results directory."""
+"""Shared by the verbs: tables, progress, error messages, exit codes, the results directory."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
         )
         print(f"report: {report}")
     if run.failed and not found["done"] and all(failure["code"] == "input" for failure in run.failed):
-        return USAGE  # nothing could be done with what the user gave
+        return USAGE  # the input could not be used
     ended = found["judgement"].get("unreached") or found["unanswered"]
     return DAMAGED if run.damaged else FAILED if run.failed or ended else OK
 
 
 def print_answers(told: Mapping[str, Any]) -> None:
-    """A line a family, then what to take instead and why, folded to `WIDTH` columns; the page has more."""
+    """A line for each family, then the recommended model and the reason, folded to `WIDTH` columns."""
     from ..verdict.words import ON_TERMINAL
 
     print()
@@ -71,7 +71,7 @@ def print_answers(told: Mapping[str, Any]) -> None:
 
 
 def folded(text: str, indent: str = "") -> str:
-    """A text in lines of `WIDTH` columns, the further ones set in; a number stays with its unit."""
+    """A text in lines of `WIDTH` columns, indented from the second on; a number stays with its unit."""
     whole = _BEFORE_UNIT.sub("\u00a0", text).replace(" = ", "\u00a0=\u00a0")
     lines = textwrap.fill(
         whole,
@@ -85,7 +85,7 @@ def folded(text: str, indent: str = "") -> str:
 
 
 def print_table(rows: Sequence[dict[str, str]]) -> None:
-    """A line a row; where that is wider than `WIDTH`, the first column on a line and the others below it."""
+    """A line for each row; if wider than `WIDTH`, the first column on a line and the others below it."""
     if not rows:
         return
     columns = list(rows[0])
@@ -103,7 +103,7 @@ def print_table(rows: Sequence[dict[str, str]]) -> None:
 
 def tell(text: str) -> None:
     """A line of progress, on standard error."""
-    with contextlib.suppress(OSError):  # a full disk; a terminal that is gone ends no run
+    with contextlib.suppress(OSError):  # a full disk or a closed terminal does not end a run
         print(text, file=sys.stderr, flush=True)
 
 
@@ -113,7 +113,7 @@ def print_json(value: Any) -> int:
 
 
 def answer(options: argparse.Namespace, value: Any, *lines: str) -> int:
-    """What a verb has found: as JSON where that is asked for, else in lines."""
+    """Print a verb's result, as JSON if requested, else as lines."""
     if options.json:
         return print_json(value)
     for line in lines:
@@ -122,7 +122,7 @@ def answer(options: argparse.Namespace, value: Any, *lines: str) -> int:
 
 
 def complain(text: str, code: int) -> int:
-    """Say what is wrong, a problem a line; the exit code is handed on."""
+    """Print errors, one a line; returns the exit code."""
     for line in text.split("\n"):
         tell(f"vdmbench: {line}")
     return code

@@ -1,4 +1,4 @@
-"""The study that a command line names, its plan, its cases and its run, and how far that is."""
+"""The study of a command line, its plan, cases and run, and the progress of the run."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from ..work.plan import Plan, PlannedCase
     from ..work.run import Event
 
-SILENCE = 30.0  # s between two lines in which a pipe hears where the run is
+SILENCE = 30.0  # s between two progress lines in a pipe
 
 
 def load(options: argparse.Namespace) -> Study:
-    """The study that a command line names, with its changes."""
+    """The study of a command line, with its changes."""
     from ..study.config import load_study
     from ..study.files import changes_of, study_path
 
@@ -42,7 +42,7 @@ def baseline_of(options: argparse.Namespace, study: str) -> Path:
 
 
 def plan_of(options: argparse.Namespace) -> Plan:
-    """The plan of the study that a command line names; where results are to be kept, in a directory of its own."""
+    """The plan of the study of a command line, in its own directory if results are to be kept."""
     from ..work.explain import require_own
 
     plan = make_plan(load(options), options)
@@ -64,7 +64,7 @@ def make_plan(
 
 
 def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
-    """What to type to get the same results again: the words of this command that decide them, without folders."""
+    """The command that gives the same results again: the arguments that decide them, without folders."""
     from ..study.files import without_folders
 
     given = vars(options)
@@ -79,12 +79,12 @@ def command_of(verb: str, options: argparse.Namespace) -> tuple[str, ...]:
 
 
 def _name(path: str | Path) -> str:
-    """The last name of a path: the others may be a patient's."""
+    """The last part of a path: folders may name a patient."""
     return Path(path).name or str(path)
 
 
 def check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
-    """Read the files of cases that are still to be meshed. Raises StudyError for those that cannot be used."""
+    """Read the files of cases that are not meshed yet. Raises StudyError for unusable ones."""
     from ..study.config import geometry_error
     from ..study.errors import MeshError
 
@@ -96,7 +96,7 @@ def check_files(plan: Plan, cases: Sequence[PlannedCase]) -> None:
 
 
 def run_missing(plan: Plan, options: argparse.Namespace, **how: Any) -> tuple[Run, Path]:
-    """Run what is missing of a plan and show how far it is: the run and its report.
+    """Run the missing part of a plan and show progress; returns the run and its report.
 
     Parameters
     ----------
@@ -117,16 +117,16 @@ def numbered_case(plan: Plan, number: int) -> PlannedCase:
     return plan.cases[number - 1]
 
 
-# --- how far a run is: one line of a terminal, lines in a pipe, on standard error so that output can be piped ---
+# --- progress of a run: one line of a terminal, or lines in a pipe, on standard error ---
 
 
 class Progress:
-    """Pieces done of all, and what was heard of last.
+    """Number of finished tasks, and the last event.
 
     Parameters
     ----------
-    name : of the study, for the case of a study of one
-    quiet : whether to show sentences alone
+    name : of the study, for a case without a label
+    quiet : whether to show only sentences
     """
 
     def __init__(self, name: str, *, quiet: bool) -> None:
@@ -141,7 +141,7 @@ class Progress:
         self._line("")
 
     def show(self, event: Event) -> None:
-        """Show one event of the run; a sentence also where progress is not wanted."""
+        """Show one event of the run; sentences are shown even if quiet."""
         if event.kind == "told":
             self._line("")
             complain(event.message, OK)
@@ -164,7 +164,7 @@ class Progress:
         self.spoke = now
 
     def _line(self, text: str) -> None:
-        """Write the line of a terminal anew."""
+        """Rewrite the line of a terminal."""
         if not self.quiet and sys.stderr.isatty():
             with contextlib.suppress(OSError):  # a terminal that is gone ends no run
                 width = shutil.get_terminal_size().columns - 1

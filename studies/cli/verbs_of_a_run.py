@@ -1,4 +1,4 @@
-"""What is made of stored results: `report gate accept compare export`; and a study's scene for other programs."""
+"""Uses of stored results: `report gate accept compare export`; and a study's scene for other programs."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from ..measures.foreign import Foreign
 
 MOST = len(ascii_uppercase)  # runs, each a letter
-HEADLINE = {  # shown whether it has changed or not; of the others what has
+HEADLINE = {  # metrics that are always shown; others only if they changed
     "relative_l2_displacement_error": "displacement error",
     "relative_l2_deformation_error": "error in change of shape",
     "max_nodal_error": "largest difference at a node",
@@ -93,7 +93,7 @@ def gate_run(options: argparse.Namespace) -> int:
     run = read_run(run_directory(options.directory))
     study = run.study.study.name
     path = baseline_of(options, study)
-    # where nobody has accepted anything, that is no mistake of the command, and whoever collects files finds them
+    # a missing first baseline is not an error of the command; whoever collects the files finds them
     missing = gate.no_baseline(path) if options.baseline is None and not path.exists() else ""
     baseline = None if missing else gate.read_baseline(path)
     none = gate.Finding(gate.NOT_COMPARABLE, "baseline", "", "", why=missing)
@@ -190,7 +190,7 @@ def _side_by_side(options: argparse.Namespace) -> int:
 
 
 def _rows(held: Sequence[Baseline], findings: Sequence[Sequence[Finding]]) -> list[dict[str, Any]]:
-    """For each metric and model: the worst value of each run's cases, NaN for none, and what became of it."""
+    """For each metric and model: the worst value over each run's cases, NaN for none, and its outcome."""
     from ..gate import OUTCOMES, OWN, SAME
 
     worst: dict[tuple[str, str], list[float]] = {}
@@ -219,7 +219,7 @@ def _rows(held: Sequence[Baseline], findings: Sequence[Sequence[Finding]]) -> li
 def _print(
     names: Sequence[str], found: Sequence[Mapping[str, Any]], findings: Sequence[Sequence[Finding]]
 ) -> None:
-    """A block for each metric of `HEADLINE`, and others that have changed: a row for each model, a column a run."""
+    """A block for each metric of `HEADLINE`, and for changed ones: a row for each model, a column for each run."""
     from ..gate import summary
     from ..verdict.formatting import of_unit
 

@@ -71,7 +71,7 @@ def new_study(options: argparse.Namespace) -> int:
 
 
 def _named(text: str, name: str, source: Path) -> str:
-    """The study under another name."""
+    """The study's text with another name."""
     if source == TEMPLATE:
         return text.replace("NAME", name)
     start = re.search(r"^\s*\[\s*study\s*\]", text, re.MULTILINE)
@@ -82,7 +82,7 @@ def _named(text: str, name: str, source: Path) -> str:
 
 
 def _files(text: str, directory: Path) -> dict[str, Path]:
-    """The files beside a study that it names. Raises InputError for one that is elsewhere or missing."""
+    """The files beside a study that it names. Raises InputError for one that is missing or elsewhere."""
     names = re.findall(r'^\s*path\s*=\s*"([^"\n]*)"', text, re.MULTILINE)
     for name in names:
         if Path(name).is_absolute() or ".." in Path(name).parts or not (directory / name).is_file():
@@ -118,7 +118,7 @@ def show_scene(options: argparse.Namespace) -> int:
 
 
 def _unsolved(plan: Plan, case: PlannedCase) -> CaseResult:
-    """A case with its scene and no answer. Raises StudyError where the scene cannot be put on its mesh."""
+    """A case with its scene but no answer. Raises StudyError where the scene does not fit its mesh."""
     from ..measures.case import CaseResult
     from ..work.explain import scene_of
 
@@ -239,7 +239,7 @@ def plan_study(options: argparse.Namespace) -> int:
 
 
 def _work_rows(work: Sequence[Mapping[str, Any]]) -> list[dict[str, str]]:
-    """What the cache has not, from which all load steps are made: a line for each model and mesh level."""
+    """Work that the cache lacks, from which all load steps are made: a line for each model and mesh level."""
     set_ups, solves = Counter[str](), Counter[str]()
     for one in work:
         refined = f", refined {plural(one['level'], 'time')}" if one["level"] else ""

@@ -30,10 +30,10 @@ def run_benchmark(options: argparse.Namespace) -> int:
     """
     from .. import bench
 
-    plans = []  # all are sound before anything is run
+    plans = []  # check all before running any
     for name, surface in bodies_to_measure(options.study, options.surface):
         given = load(argparse.Namespace(**vars(options) | {"study": name, "surface": surface}))
-        make_plan(given, options)  # a mesh that cannot be made is told with the line of the study
+        make_plan(given, options)  # an impossible mesh is reported with the line of the study
         names = given.study.models if options.study else bench.models_to_measure()
         study = bench.study_to_run(given, names, watch=tell)
         directory = options.out / study.study.name if options.out else None
@@ -51,7 +51,7 @@ def run_benchmark(options: argparse.Namespace) -> int:
         print(folded(bench.NOTE))
         for _, report in runs:
             print(f"report: {report}")
-    # a size that the study's author never wrote may be none that the body stands
+    # the benchmark's own mesh sizes may not suit the body
     return OK if all(run.cases for run, _ in runs) else FAILED
 
 
@@ -128,7 +128,7 @@ def calibrate_study(options: argparse.Namespace) -> int:
 
     plan = plan_of(options)
     check(plan, fit=True)
-    plans = [plan]  # read, and found to be of use, before anything is run
+    plans = [plan]  # check all before running any
     for name in options.transfer:
         there = argparse.Namespace(**vars(options) | {"study": name, "surface": None, "out": None})
         plans.append(make_plan(load(there), there))

@@ -1,1 +1,1 @@
-"""How far off. In: results of models on one surface. Out: metrics, error bars, cases."""
+"""Accuracy. In: results of models on one surface. Out: metrics, error bars, cases."""

@@ -1,4 +1,4 @@
-"""One finished case as plain data: what `store` writes and reads and what `report` shows."""
+"""One finished case as plain data, which `store` writes and reads and `report` shows."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Limit:
-    """Where along a load path a model's error has grown by a threshold; see `vdmbench.measures.limits`."""
+    """The load at which a model's error has grown by a threshold; see `vdmbench.measures.limits`."""
 
     threshold: float
     state: (
-        str  # "found", "unresolved", or why not: "beyond" what is tried, "model-stopped", "reference-stopped"
+        str  # "found", "unresolved", or the reason: "beyond" the search, "model-stopped", "reference-stopped"
     )
-    load: float  # times the study's own loads; of a limit not found the largest that was reached
+    load: float  # times the study's own loads; if not found, the largest that was reached
     bar: float  # relative uncertainty of `load` from the reference's own error; NaN where not measured
     indentation: float  # of the reference at `load` [m]; NaN where nothing is in contact
-    strain: float  # principal Green-Lagrange strain of the reference at `load` that 95 % of the volume stays below
-    indentation_bar: float = np.nan  # relative uncertainty of `indentation`, that of `load` counted in
+    strain: float  # principal Green-Lagrange strain of the reference at `load`, not exceeded in 95 % of the volume
+    indentation_bar: float = np.nan  # relative uncertainty of `indentation`, including that of `load`
     strain_bar: float = np.nan  # likewise of `strain`
-    largest_strain: float = np.nan  # largest of any point: grows with each refinement, and has no bar
+    largest_strain: float = np.nan  # largest of any point: grows with each refinement, without a bar
 
 
 @dataclass(frozen=True)
 class ModelLimits:
-    """The limits of one model: what it is off by at small loads, and where that has grown by each threshold."""
+    """The limits of one model: its error at small loads, and the loads at which it has grown by each threshold."""
 
     structural_error: float  # e0, relative L2 displacement error in the limit of a small load
     structural_bar: float  # its uncertainty from the reference's own error, absolute; NaN where not measured
@@ -48,13 +48,13 @@ class ModelLimits:
 
 @dataclass(frozen=True)
 class CaseResult:
-    """A case: what went in, what each model answered, how far each is from the reference."""
+    """A case: its input, the answer of each model, and the distance of each from the reference."""
 
     hash: str  # hex, names the file
-    label: str  # what tells it from its neighbours, such as "poisson_ratio = 0.45"; "" in a study of one case
+    label: str  # distinguishes it, such as "poisson_ratio = 0.45"; "" in a study of one case
     swept: Mapping[str, float | str]  # swept key -> value, SI
     swept_units: Mapping[str, str]  # swept key -> SI unit, "1" where it has none
-    study: Study  # what the case was asked, SI; files by their names
+    study: Study  # input of the case, SI; files by their names
     provenance: Mapping[str, str]  # package versions, platform, commit, mesh hash, date
     points: Array  # (N, 3) m
     triangles: NDArray[np.int64]  # (F, 3), outward
@@ -66,9 +66,9 @@ class CaseResult:
     reference_error: Mapping[str, float] = field(default_factory=dict)
     # error of the reference itself, see vdmbench.measures.reference.own_error; empty where not measured
     mesh_quality: Mapping[str, float] = field(default_factory=dict)
-    small_strain: Mapping[str, ModelLimits] | None = None  # of each model, where [limits] asks for them
-    measurement: Measurement | None = None  # where [[measured]] tells what was measured on it
-    inputs: InputSpread | None = None  # where [inputs] tells how well they are known
+    small_strain: Mapping[str, ModelLimits] | None = None  # of each model, if [limits] asks for them
+    measurement: Measurement | None = None  # comparison with measurements, if [[measured]] has any
+    inputs: InputSpread | None = None  # effect of uncertain inputs, if [inputs] has any
     moved: Array | None = None  # (N,) how far remeshing moved the surface of the file near each node [m]
 
     @cached_property
@@ -78,9 +78,9 @@ class CaseResult:
 
     @cached_property
     def reached(self) -> int:
-        """The step of the largest load that the reference reached: `full_load` where it did not end before.
+        """The step of the largest load that the reference reached: `full_load` unless it stopped before.
 
-        -1 where it has no answer at all.
+        -1 if it has no answer at all.
         """
         reference = self.models.get(str(self.reference))
         if reference is None:
@@ -89,24 +89,22 @@ class CaseResult:
         return int(answered[full_load_step(self.load_factors[answered])]) if len(answered) else -1
 
 
-DAMAGED = "damaged"  # code of a failure: the case was done, its file cannot be read
+DAMAGED = "damaged"  # code of a failure: the case was done, but its file is unreadable
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run directory as read back: what was asked for, what is done, what failed, what is missing."""
+    """A run directory as read back: the study, and the finished, failed and missing cases."""
 
-    study: Study  # what was asked of all cases, SI; files by their names
+    study: Study  # the study of all cases, SI; files by their names
     study_text: str  # the study file as the user wrote it
     cases: Sequence[CaseResult]
     failed: Sequence[Mapping[str, str]]  # each with "hash", "label", "code", "message", "remedy"
     missing: Sequence[str]  # labels of planned cases without a result
     plan: Mapping[str, Any]
-    told: Mapping[str, Any] | None = (
-        None  # `vdmbench.report.headline.summary` of it, where that is made or kept already
-    )
+    told: Mapping[str, Any] | None = None  # its `vdmbench.report.headline.summary`, if already made or kept
 
     @property
     def damaged(self) -> int:
-        """How many of the failed are cases whose file is damaged."""
+        """Number of failed cases whose file is damaged."""
         return sum(entry.get("code") == DAMAGED for entry in self.failed)

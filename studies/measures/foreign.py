@@ -1,8 +1,8 @@
-"""What another program computed on a study's body, put on its surface nodes.
+"""Results of another program on a study's body, mapped to its surface nodes.
 
-A file has rest points and displacements, or their deformed positions, in metres and in the coordinates of the mesh.
-Where a surface node has a point of the file at its place its displacement is exact; elsewhere it is that of the
-nearest point, and how far that is, is told. Nothing is extrapolated further than half a mesh's edge.
+A file has rest points and displacements, or deformed positions, in metres and in the coordinates of the mesh. A
+surface node at the place of a point takes its displacement exactly. Other nodes take that of the nearest point,
+whose distance is reported. Nothing is extrapolated by more than half a mesh edge.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ NAMES = (
     "u",
     "U",
     "DISPLACEMENT",
-)  # of a displacement, where none is asked for
+)  # accepted names of a displacement field
 POSITIONS = ("position", "Position", "positions")
-EXACT = 1e-6  # of the mean edge: nodes so near are one
+EXACT = 1e-6  # of the mean edge: closer nodes coincide
 MOST_OFF = 0.5  # of the mean edge
 MOST_BYTES = 200_000_000
 _TABLES: Layouts = (
@@ -37,11 +37,11 @@ _TABLES: Layouts = (
     ("displacements of nodes", ("node", *DISPLACEMENT), ("point",)),
     ("positions of nodes", ("node", *DEFORMED), ("point",)),
 )
-MOST_CSV_BYTES = 20_000_000  # a text takes some fifty times its size in memory
+MOST_CSV_BYTES = 20_000_000  # a text takes about fifty times its size in memory
 
 
 class ForeignResultError(InputError):
-    """A file that is no result on this body; one line says why and what to change."""
+    """A file that is no result on this body; one line gives the reason and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ class Foreign:
     Attributes
     ----------
     displacement : (N, 3) [m]
-    exact : share of the nodes at which the file has a point
-    distance : largest distance of a node from the point that it takes its displacement from [m]
-    bend : largest difference that the file's own displacement has over such a distance [m]; what mapping may cost
+    exact : share of the nodes with a point of the file at their place
+    distance : largest distance of a node from the point that gives its displacement [m]
+    bend : largest change of the file's own displacement over such a distance [m]: the possible error of mapping
     """
 
     displacement: Array
@@ -63,21 +63,21 @@ class Foreign:
 
 
 def read_foreign(path: Path, mesh: Mesh, array: str | None = None) -> Foreign:
-    """A file of another program on a mesh.
+    """Read a result file of another program for a mesh.
 
     Parameters
     ----------
     path : VTU or VTK with a displacement, or positions, at its points; or CSV with columns `node` or `x`, `y`, `z`,
         and `displacement_x` ... or `deformed_x` ..., units in brackets; `node` counts the surface nodes from 0
-    array : name of the field of a VTU or VTK file, one of `NAMES` or `POSITIONS` where left out
+    array : name of the field of a VTU or VTK file; by default one of `NAMES` or `POSITIONS`
 
     Raises
     ------
     ForeignResultError
-        no such file, no such field, numbers that are not finite, points that are not on the body.
+        a missing file or field, numbers that are not finite, points that are not on the body.
     """
     try:
-        if path.exists() and not path.is_file():  # a FIFO would be waited for, a device read without end
+        if path.exists() and not path.is_file():  # reading a FIFO or a device might never end
             raise ForeignResultError(f"{path}: is no regular file")
         if path.stat().st_size > MOST_BYTES:
             raise ForeignResultError(f"{path}: is larger than {MOST_BYTES // 1_000_000} MB")
@@ -154,7 +154,7 @@ def _mapped(path: Path, points: Array, displacement: Array, mesh: Mesh) -> Forei
 
 
 def _bend(moved: Array, distance: Array, mesh: Mesh) -> float:
-    """The largest of all nodes' distances times the steepest change of a displacement along their edges."""
+    """Largest distance of all nodes times the steepest change of displacement along their edges."""
     steepest = np.zeros(len(moved))
     for first, second in ((0, 1), (1, 2), (2, 0)):
         ends = mesh.triangles[:, [first, second]]

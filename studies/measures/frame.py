@@ -1,4 +1,4 @@
-"""A run as one long table, the frame, with error bars: verdict, report, gate and tables are selections of it."""
+"""A run as one long table with error bars, the frame; verdict, report, gate and tables select from it."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def where_reached(case: CaseResult, model: str, metric: str) -> float:
 def value_bar(case: CaseResult, model: str, metric: str) -> float:
     """The bar of a metric's value at the largest load that the reference reached; NaN where it has none.
 
-    It is `least_bar` at least. Of a model that is compared, the reference's own part in the metric. Of the
-    reference's own figures, such as its volume drift, the GCI from all its levels, of two those that are there.
-    What a model that is not compared in a metric does on its own mesh is exact as it stands.
+    It is at least `least_bar`. For a compared model it is the reference's own part in the metric. For the
+    reference's own figures, such as its volume drift, it is the GCI from all its levels, or from
+    the two that are there. A model that is not compared in a metric has an exact figure on its own mesh.
     """
     bar = _measured_bar(case, model, metric)
     if not math.isfinite(bar) or metric not in SIGNED:
@@ -79,9 +79,10 @@ def frame(run: Run) -> DataFrame:
     Returns
     -------
     DataFrame with the columns of `COLUMNS` and one more for each swept key (SI). `case` is the hash, `family` a
-    category in the order of `Family`, `bar` the reference's own part in the value (GCI; NaN where not measured, and
-    at other steps than that of the largest load that it reached), `full_load` whether it is the step of the largest
-    load, `status` the code of the model's. The costs of `COSTS` are metrics like the others.
+    category in the order of `Family`, `bar` the reference's own part in the value (GCI), `full_load` whether the
+    step has the largest load, `status` the code of the model's status. `bar` is NaN where it was not measured,
+    and at all steps but the largest load that the reference reached. The costs of `COSTS` are metrics like the
+    others.
     """
     import pandas as pd
 
@@ -93,7 +94,7 @@ def frame(run: Run) -> DataFrame:
     for case in run.cases:
         for name, result in case.models.items():
             measured, n_steps = case.metrics.get(name, {}), len(case.load_factors)
-            known = case.reference_error and n_steps  # without levels no bar is
+            known = case.reference_error and n_steps  # without levels there is no bar
             at = (case.full_load, case.reached) if n_steps else (0, 0)
             for metric, one in measured.items():
                 bar = value_bar(case, name, metric) if known else np.nan
@@ -109,7 +110,7 @@ def frame(run: Run) -> DataFrame:
                 {"case": case.hash, "label": case.label, **case.swept, "model": name}
                 | {"family": family_of(name).value}
             )
-    # one long column of each kind: a table made piece by piece takes a minute for 2,000 cases
+    # one long column of each kind: building the table piece by piece takes a minute for 2,000 cases
     lengths = np.array([len(one) for one in values], dtype=int)
     row = np.arange(len(values)).repeat(lengths)
     step = np.arange(len(row)) - (np.cumsum(lengths) - lengths)[row]

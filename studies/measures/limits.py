@@ -1,15 +1,16 @@
-"""The small-strain limits: how far a load can be raised before a model's error grows.
+"""The small-strain limits: the load up to which a model's error does not grow.
 
-Three different things, never mixed. The structural error e0 of a model is its error against the finite-strain
+There are three different quantities. The structural error e0 of a model is its error against the finite-strain
 reference in the limit of a small load. Its growth limit is the load at which error - e0 reaches a threshold. For
-the linear finite elements e0 is zero and the growth limit is the linearisation limit: where small-strain theory
+the linear finite elements e0 is zero, and the growth limit is the linearisation limit: small-strain theory
 departs from finite strain on the same mesh.
 
-The axis is the strain that 95 % of the volume stays below: three meshes of a scene agree on it, where the largest
-strain of any point grows with each (`fem_reference.outputs.SHARE`).
+The axis is the strain that 95 % of the volume does not exceed. Three meshes of a scene agree on it, whereas the
+largest strain of any point grows with each refinement (`fem_reference.outputs.SHARE`).
 
-A search ends at `LARGEST` times the study's load, or at `MOST_STRAIN`: a largest principal Green-Lagrange strain
-of 4 is a fibre three times as long as at rest, which no soft tissue bears. Solves beyond cost more than all others.
+A search ends at `LARGEST` times the study's load, or at `MOST_STRAIN`. A largest principal Green-Lagrange strain
+of 4 is a fibre three times as long as at rest, more than any soft tissue bears. Solves beyond it cost more than
+all others.
 """
 
 from __future__ import annotations
@@ -23,12 +24,12 @@ from itertools import islice
 from .case import Limit, ModelLimits
 from .uncertainty import estimate_error
 
-SMALL = 1.0 / 512.0  # of the study's load: where the structural error is measured
-LARGEST = 64.0  # times the study's load: where a search gives up
-MOST_STRAIN = 4.0  # largest principal Green-Lagrange strain of the reference: likewise
-_AT_THE_END = 0.9  # of that strain: near enough to it for a search to end
-_AIM = 0.95  # of that strain: where a search goes that would pass it
-CLOSE = 0.02  # of a threshold: when a crossing is met; part of a limit's bar
+SMALL = 1.0 / 512.0  # of the study's load: for the structural error
+LARGEST = 64.0  # times the study's load: end of a search
+MOST_STRAIN = 4.0  # largest principal Green-Lagrange strain of the reference: end of a search
+_AT_THE_END = 0.9  # of that strain: close enough for a search to end
+_AIM = 0.95  # of that strain: the next target of a search that would exceed it
+CLOSE = 0.02  # relative to a threshold: accuracy of a crossing, part of a limit's bar
 _MOST_STEPS = 12  # bisections of one crossing
 _POWER_LAW_STEPS = 5  # of these
 _RETREATS = 4  # bisections towards the load at which a solution stops
@@ -36,7 +37,7 @@ _RETREATS = 4  # bisections towards the load at which a solution stops
 
 @dataclass(frozen=True)
 class LoadPoint:
-    """What was found at one load. `error` of a model that has no solution there is NaN; it is read when needed."""
+    """Results at one load. `error` is NaN for a model without a solution there; it is computed when read."""
 
     error: Mapping[str, float]
     indentation: float
@@ -49,7 +50,7 @@ class LoadPath:
 
     Parameters
     ----------
-    evaluate : factor of the study's loads -> LoadPoint, None where the reference has no solution
+    evaluate : factor of the study's loads -> LoadPoint; None where the reference has no solution
     """
 
     def __init__(self, evaluate: Callable[[float], LoadPoint | None]) -> None:
@@ -64,23 +65,23 @@ class LoadPath:
         return self._points[factor]
 
     def usable(self, factor: float) -> bool:
-        """Whether the reference has a solution at a factor, of a strain that counts. An unknown one does."""
+        """Whether the reference has a solution at a factor, within the strain bound. An unknown strain passes."""
         point = self.at(factor)
         return point is not None and not point.largest_strain > MOST_STRAIN
 
     def at_end(self, factor: float) -> bool:
-        """Whether a usable factor is the last that is looked at."""
+        """Whether a usable factor is the last of a search."""
         point = self.at(factor)
         return factor >= LARGEST or (point is not None and point.largest_strain >= _AT_THE_END * MOST_STRAIN)
 
     def reaches(self, factor: float) -> bool:
-        """Whether nothing that is known keeps a search from a factor."""
+        """Whether no known result keeps a search from a factor."""
         return factor <= LARGEST and all(self.usable(other) for other in self._points if other <= factor)
 
     def after(self, factor: float) -> float:
-        """The factor to try after a usable one: twice it, or less where the strain would pass its bound.
+        """The factor to try after a usable one: twice it, or less where the strain would exceed its bound.
 
-        The same for every model and threshold, whatever has been evaluated since.
+        It is the same for every model and threshold, and does not depend on later evaluations.
         """
         if factor not in self._after:
             further, point = 2.0, self.at(factor)
@@ -91,7 +92,7 @@ class LoadPath:
         return self._after[factor]
 
     def structural_error(self, model: str) -> float:
-        """e0 of a model; NaN where it or the reference has no solution even there."""
+        """e0 of a model; NaN where it or the reference has no solution at a small load."""
         point = self.at(SMALL)
         return point.error[model] if point is not None else math.nan
 
@@ -103,13 +104,13 @@ class LoadPath:
         return point.error[model] - self.structural_error(model)
 
     def between(self, low: float, high: float) -> list[float]:
-        """Factors between two, of every load evaluated so far, rising."""
+        """All factors evaluated so far between two, rising."""
         return [factor for factor in sorted(self._points) if low < factor < high]
 
     def slope(self, value: Callable[[LoadPoint], float], factor: float) -> float:
         """d ln(value) / d ln(load) around a factor, from the nearest loads on either side; 1 where there are none.
 
-        Of the loads evaluated so far: the two at or below it and the one above, at which the value is positive.
+        It uses loads evaluated so far with a positive value: two at or below the factor, and one above.
         """
 
         def nearest(factors: Iterable[float], count: int) -> list[tuple[float, float]]:
@@ -136,15 +137,16 @@ def model_limits(path: LoadPath, model: str, thresholds: Sequence[float]) -> Mod
 
 
 def on_finer_mesh(limits: ModelLimits, path: LoadPath, fine: LoadPath, model: str) -> ModelLimits:
-    """The limits as a finer mesh has them, with the bars of that mesh: its grid convergence index for two levels.
+    """The limits on a finer mesh, with the bars of that mesh: its grid convergence index for two levels.
 
-    `fine` is evaluated at a small load and once for each limit, at the load that `path` found for it. Around there
-    the departure grows like load^p, p being its slope on `path`, at least 1/2, and indentation and strain with
-    slopes of their own: this leads from what the finer mesh has at that load to what it has at its own limit.
-    Bars of indentation and strain count their own change at the same load, and that of the load times their slope.
-    A limit is unresolved where the finer mesh does not bear it out: it has no solution of a strain that counts at
-    that load, the error has not grown there, or what leads on from there ends beyond the loads that are looked at.
-    All stay as they are, without bars, where the finer mesh has no structural error.
+    `fine` is evaluated at a small load and once for each limit, at the load that `path` found for it. Around
+    there the departure grows like load^p, with p its slope on `path`, at least 1/2. Indentation and strain have
+    slopes of their own. These lead from the finer mesh's results at that load to its own limit.
+
+    The bars of indentation and strain include their own change at the same load, and the bar of the load times
+    their slope. A limit is unresolved if the finer mesh does not confirm it: no solution within the strain bound
+    at that load, no growth of the error there, or an extrapolated limit beyond the loads of the search. If the
+    finer mesh has no structural error, all limits stay unchanged, without bars.
     """
     e0 = fine.structural_error(model)
     if not math.isfinite(e0):
@@ -166,7 +168,7 @@ def _on_finer_mesh(limit: Limit, path: LoadPath, fine: LoadPath, model: str) -> 
     e0 = path.structural_error(model)
     power = 1.0 / max(path.slope(lambda point: point.error[model] - e0, factor), 0.5)
     bar = _index(1.0 - (departure / path.departure(model, factor)) ** power) + CLOSE * power
-    further = (limit.threshold / departure) ** power  # the load of the finer mesh's limit, over this one
+    further = (limit.threshold / departure) ** power  # the finer mesh's limit load over this one
     indentation = path.slope(lambda point: abs(point.indentation), factor)
     strain = path.slope(lambda point: point.strain, factor)
     largest = other.largest_strain * further ** path.slope(lambda point: point.largest_strain, factor)
@@ -185,7 +187,7 @@ def _on_finer_mesh(limit: Limit, path: LoadPath, fine: LoadPath, model: str) -> 
 
 
 def _index(difference: float) -> float:
-    """GCI of the finer of two meshes, one split once from the other; NaN of a difference that is."""
+    """GCI of the finer of two meshes, one refined once from the other; NaN for NaN."""
     return estimate_error([difference]).gci if math.isfinite(difference) else math.nan
 
 
@@ -195,7 +197,7 @@ def _limit(path: LoadPath, model: str, threshold: float) -> Limit:
     low, high, state = _bracket(path, model, threshold)
     factor = low if high is None else _crossing(path, model, threshold, low, high)
     point = path.at(factor)
-    if point is None or not math.isfinite(path.departure(model, factor)):  # between two loads that have one
+    if point is None or not math.isfinite(path.departure(model, factor)):  # between two loads that have them
         return Limit(threshold, _why_not(path, factor), factor, math.nan, math.nan, math.nan)
     return Limit(
         threshold,
@@ -209,7 +211,7 @@ def _limit(path: LoadPath, model: str, threshold: float) -> Limit:
 
 
 def _bracket(path: LoadPath, model: str, threshold: float) -> tuple[float, float | None, str]:
-    """(low, high, state): departures below and above the threshold; high is None where there is none."""
+    """(low, high, state): departures below and above the threshold; high is None if no load exceeds it."""
     low, factor, stopped, retreats = SMALL, 1.0, math.inf, 0
     while True:
         departure = path.departure(model, factor)
@@ -231,7 +233,7 @@ def _bracket(path: LoadPath, model: str, threshold: float) -> tuple[float, float
 
 
 def _why_not(path: LoadPath, factor: float) -> str:
-    """The state of a limit for which there is no departure at a factor."""
+    """The state of a limit without a departure at a factor."""
     if path.at(factor) is None:
         return "reference-stopped"
     return "model-stopped" if path.usable(factor) else "beyond"
@@ -239,7 +241,7 @@ def _why_not(path: LoadPath, factor: float) -> str:
 
 def _crossing(path: LoadPath, model: str, threshold: float, low: float, high: float) -> float:
     """Factor at which the departure is the threshold to 2 %: bisection, its first steps along a power law."""
-    for factor in path.between(low, high):  # what other models' searches have evaluated already
+    for factor in path.between(low, high):  # loads already evaluated for other models
         departure = path.departure(model, factor)
         if low < factor < high and math.isfinite(departure):
             low, high = (factor, high) if departure < threshold else (low, factor)

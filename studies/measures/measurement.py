@@ -1,15 +1,16 @@
-"""A model held against a measurement, by ASME V&V 20-2009: comparison error and validation uncertainty.
+"""A model compared with a measurement, by ASME V&V 20-2009: comparison error and validation uncertainty.
 
-E = S - D of what a model simulates and what was measured; u_val = sqrt(u_num^2 + u_input^2 + u_D^2), all standard
-uncertainties. |E| <= u_val: the model's error is lost in the uncertainty. Else |E| - u_val at least remains.
-u_num of the reference is the grid convergence index of its mesh levels as it is, which is wider than a standard
-uncertainty; a coarser level has its distance from the finest beside. No other model is solved on two meshes: it has
-no u_num. u_input is what comes of not knowing the inputs, where [inputs] of a study tells how well they are known.
+E = S - D of a simulated value S and a measured one D; u_val = sqrt(u_num^2 + u_input^2 + u_D^2), all standard
+uncertainties. If |E| <= u_val the model's error is within the uncertainty; otherwise it is at least |E| - u_val.
 
-What comes of not knowing the inputs: standard deviations of answers, and which input they are from.
-By sensitivities: with d_k the standard deviation of an answer through input k alone, the root of the sum of d_k^2.
-That is first order: it holds where answers go straight with each input, and inputs know nothing of each other. By
-samples: their standard deviation, whatever the answer does.
+u_num of the reference is the grid convergence index of its mesh levels, which is wider than a standard
+uncertainty; a coarser level adds its distance from the finest. Other models are not solved on two meshes and have
+no u_num.
+
+u_input is the effect of uncertain inputs, if [inputs] of a study gives their uncertainty: standard deviations of
+the answers, and the part of each input. With d_k the standard deviation of an answer through input k alone, it is
+the root of the sum of d_k^2. This is first order: it holds for answers linear in each input, and independent
+inputs.
 """
 
 from __future__ import annotations
@@ -34,20 +35,20 @@ from .metrics import full_load_step
 from .pushed import Answer, Pushed
 from .uncertainty import estimate_limit
 
-_NOTHING = 1e-6  # share of the displacement: less is what solvers leave open
-STRAIGHT = 0.2  # `ModelSpread.bend` up to which first order will do: it moves the deviation by a fiftieth
+_NOTHING = 1e-6  # share of the displacement: smaller is solver error
+STRAIGHT = 0.2  # largest `ModelSpread.bend` for first order: it changes the deviation by a fiftieth
 
 
 @dataclass(frozen=True)
 class ModelSpread:
-    """What one model makes of it at full load.
+    """Effect of uncertain inputs on one model at full load.
 
     Attributes
     ----------
-    displacement : area-weighted norm of the standard deviation of the displacement, over the norm of it
+    displacement : area-weighted norm of the displacement's standard deviation, over that of the displacement
     deformation : the same without the best-fit rigid motion
     parts : (K,) share of `displacement` by each input alone
-    bend : most by which an answer is off the line between those at an input's ends, over `displacement`
+    bend : largest deviation of an answer from the line between those at an input's ends, over `displacement`
     """
 
     displacement: float
@@ -58,7 +59,7 @@ class ModelSpread:
 
 @dataclass(frozen=True)
 class InputSpread:
-    """The K inputs of a case, how well each is known, and what comes of it: model -> spread."""
+    """The K uncertain inputs of a case, their uncertainties, and the effect: model -> spread."""
 
     keys: Sequence[str]
     units: Sequence[str]
@@ -68,7 +69,7 @@ class InputSpread:
 
 
 def _parts(inputs: Sequence[Input], answers: Sequence[Array]) -> Array:
-    """(K, ...) signed standard deviation of each number through one input alone, by the answers at its ends."""
+    """(K, ...) signed standard deviation of each number through one input alone, from the answers at its ends."""
     pairs = zip(inputs, answers[0::2], answers[1::2], strict=True)
     return np.stack([one.weight * (high - low) / 2.0 for one, low, high in pairs])
 
@@ -77,15 +78,15 @@ Answers = Callable[[str], Sequence[Array]]  # model -> its V answers at full loa
 
 
 def input_spread(study: Study, surface: Surface, own: Mapping[str, Array], answers: Answers) -> InputSpread:
-    """What each model makes of what is not known of the inputs.
+    """Effect of uncertain inputs on each model.
 
     Parameters
     ----------
-    own : model -> (N, 3) its answer to the study itself at full load [m]
+    own : model -> (N, 3) its answer to the unchanged study at full load [m]
     """
     inputs, found = inputs_of(study), {}
     for name, displacement in own.items():
-        # variations are of the case's own mesh, also where the model's own answer is of a finer one
+        # variations use the case's own mesh, even if the model's own answer is on a finer one
         unvaried = own[name.removesuffix(REFINED)]
         found[name] = _model_spread(inputs, surface, displacement, answers(name), unvaried)
     return InputSpread(
@@ -127,13 +128,16 @@ FORCE = "force"
 
 @dataclass(frozen=True)
 class Quantity:
-    """One measured number: a component of a point's displacement; of a whole surface a distance, with D = 0; or the
-    force of a constraint, named by `point`, at a depth."""
+    """One measured number.
+
+    It is a component of a point's displacement, a distance of a whole surface (with D = 0), or the force of a
+    constraint, named by `point`, at a depth.
+    """
 
     table: str
     point: str
     component: str  # "x", "y", "z", RMS, MOST or FORCE
-    step: int  # of the load history; of a force the largest load's
+    step: int  # of the load history; for a force that of the largest load
     value: float  # D [m], or [N] of a force
     uncertainty: float  # u_D, likewise
     distance: float  # of the measured place from the mesh's surface [m]
@@ -149,16 +153,16 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What was measured on a case, Q quantities, and what models and other programs say of them.
+    """The Q quantities measured on a case, and their values by models and other programs.
 
     Attributes
     ----------
     quantities : in the order of the study's tables
     simulated : name -> (Q,) S, each in its quantity's unit; NaN where there is no answer
-    numerical : name -> (Q,) u_num, likewise; NaN where it is not known
-    sources : table -> who measured
+    numerical : name -> (Q,) u_num, likewise; NaN where unknown
+    sources : table -> source of the measurement
     others : names in `simulated` that are no model of the study: results that came with the measurement
-    inputs : name -> (Q,) u_input, likewise; a name that is not there, and NaN, where it is not known
+    inputs : name -> (Q,) u_input, likewise; NaN, or no entry, where unknown
     """
 
     quantities: Sequence[Quantity]
@@ -178,13 +182,13 @@ class Measurement:
         return np.asarray(self.simulated[name] - self.values)
 
     def parts(self, name: str) -> dict[str, Array]:
-        """(Q,) u_num, u_input and u_D by their names; NaN where one is not known."""
+        """(Q,) u_num, u_input and u_D by their names; NaN where unknown."""
         unknown = np.full(len(self.quantities), np.nan)
         data = np.array([quantity.uncertainty for quantity in self.quantities])
         return {"u_num": self.numerical[name], "u_input": self.inputs.get(name, unknown), "u_D": data}
 
     def uncertainty(self, name: str) -> Array:
-        """(Q,) u_val; what is not known counts as none."""
+        """(Q,) u_val; unknown parts count as zero."""
         return np.asarray(
             np.sqrt(sum(np.nan_to_num(part, nan=0.0) ** 2 for part in self.parts(name).values()))
         )
@@ -194,7 +198,7 @@ class Measurement:
         return np.asarray(np.abs(self.error(name)) <= self.uncertainty(name))
 
     def as_good_as(self, name: str, other: str) -> Mask:
-        """(Q,) whether an answer is within u_num of another one, whose u_num is known; whatever was measured."""
+        """(Q,) whether an answer is within u_num of another one, with a known u_num, whatever was measured."""
         apart = np.abs(self.simulated[name] - self.simulated[other])
         return np.asarray(apart <= self.numerical[other])
 
@@ -211,13 +215,14 @@ def hold_against(
     levels: Sequence[tuple[str, Answer]] = (),
     varied: Mapping[str, Callable[[], Sequence[Answer]]] | None = None,
 ) -> Measurement | None:
-    """The results of a case against what was measured on it; None where nothing was.
+    """The results of a case compared with its measurements; None without measurements.
 
     Parameters
     ----------
     results : model -> its answers to the load steps at the surface nodes of `mesh`
-    levels : the reference on its mesh levels at the same nodes, coarse first; the name of each in `results`, or ""
-    varied : model -> its answers at both ends of each input, of which u_input is made
+    levels : the reference on its mesh levels at the same nodes, coarse first, each with its name in `results`, or
+        ""
+    varied : model -> its answers at both ends of each input, for u_input
 
     Raises
     ------
@@ -253,7 +258,7 @@ def hold_against(
 
 
 def _numerical(values: Array, levels: Sequence[Array]) -> Array:
-    """(Q,) u_num of a level; `levels` the finest first."""
+    """(Q,) u_num of a level; `levels` are the finest first."""
     found = np.full(len(values), np.nan)
     for k, figures in enumerate(zip(*levels, strict=True)):
         if np.isfinite(figures).all():
@@ -263,7 +268,7 @@ def _numerical(values: Array, levels: Sequence[Array]) -> Array:
 
 
 def _quantities(study: Study, mesh: Mesh) -> tuple[list[Quantity], dict[str, Array]]:
-    """The Q quantities of a study, and what other programs computed there: name -> (Q,), NaN where one did not."""
+    """The Q quantities of a study, and other programs' values: name -> (Q,), NaN where missing."""
     factors = np.array(study.load.history)
     found: list[Quantity] = []
     others: list[dict[str, float]] = []
@@ -297,7 +302,7 @@ def _simulated(
     pushed: Mapping[str, Pushed],
     surfaces: Mapping[str, Array],
 ) -> Array:
-    """(Q,) S of an answer; `pushed` has the constraints by name, `surfaces` the measured ones by table."""
+    """(Q,) S of an answer; `pushed` are the constraints by name, `surfaces` the measured ones by table."""
     found = np.full(len(quantities), np.nan)
     for k, one in enumerate(quantities):
         field = answer.displacement[one.step]
@@ -306,7 +311,7 @@ def _simulated(
             found[k] = np.dot(one.weights, corners)
         elif one.component == FORCE:
             found[k] = pushed[one.point].force_at(one.depth, answer)
-        elif one.component == RMS and np.isfinite(field).all():  # the largest comes next
+        elif one.component == RMS and np.isfinite(field).all():  # sets the largest distance too
             deformed = mesh.surface_points + field
             distance, _, _ = nearest_on_surface(surfaces[one.table], deformed, mesh.triangles)
             found[k : k + 2] = np.sqrt((distance**2).mean()), distance.max()
@@ -321,7 +326,7 @@ def _step(factor: float | None, factors: Array) -> int:
 
 
 def step_rms(found: Measurement, name: str, n_steps: int) -> Array:
-    """(S,) root mean square of E over the points' components of each step [m]; NaN of a step without."""
+    """(S,) root mean square of E over the points' components of each step [m]; NaN for a step without points."""
     errors = np.full(n_steps, np.nan)
     steps: Index = np.array([q.step if q.component in AXES else -1 for q in found.quantities])
     for step in range(n_steps):

@@ -1,8 +1,8 @@
-"""How far a model is from the reference: pure functions on arrays, and the registry of metrics.
+"""The registry of metrics: pure functions on arrays that compare a model with the reference.
 
-Displacements are (N, 3) at the same N surface nodes; norms are weighted by nodal area, so that they do not
-depend on how the mesh spreads its nodes. Adding a metric is one decorated function, here or in a file
-`metric_NAME.py` beside this one.
+Displacements are (N, 3) at the same N surface nodes. Norms are weighted by nodal area, so that they do not depend
+on the distribution of nodes. A new metric is one decorated function, here or in a file `metric_NAME.py` beside
+this one.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from ..body.surface_measures import (
 )
 from ..study.registry import load_all
 
-# an error; the deviation, of either sign, from a quantity that is conserved; neither good nor bad
+# an error; the signed deviation of a conserved quantity; neither good nor bad
 Sense = Literal["error", "conserved", "descriptive"]
 
 
 @dataclass(frozen=True)
 class History:
-    """What a metric needs of one model: S steps."""
+    """Input of a metric from one model: S steps."""
 
     displacement: Array  # (S, N, 3)
     reaction_force: Array  # (S, N, 3)
     load_factors: Array  # (S,)
-    # at full load: (N,) from the nodes to the reference's surface, and the largest either way; see `evaluate`
+    # at full load: (N,) distances of nodes to the reference's surface, and the largest either way; see `evaluate`
     distances: tuple[Array, float] | None = None
-    volume: Array | None = None  # (S,) enclosed volumes [m^3], where they are known
+    volume: Array | None = None  # (S,) enclosed volumes [m^3], if known
     measurement: Array | None = None  # (S,) rms of E, see `measurement.step_rms`
 
     @cached_property
@@ -55,10 +55,10 @@ class History:
 
 @dataclass(frozen=True)
 class Metric:
-    """A named measure; `version` changes whenever its numbers do.
+    """A named measure; `version` changes whenever its values do.
 
-    With every displacement and force of model and reference c > 0 times as large, the metric is c^`degree` times
-    as large; None where it is not that simple. `vdmbench.gate` judges it by its `sense`.
+    If all displacements and forces of model and reference are multiplied by c > 0, the metric is multiplied by
+    c^`degree`; None if there is no such degree. `vdmbench.gate` judges it by its `sense`.
     """
 
     name: str
@@ -74,8 +74,8 @@ class Metric:
 
 
 METRICS: dict[str, Metric] = {}
-_NO_LOAD = 1e-12  # of the largest load factor: equal steps of a history differ by rounding
-_LOST = 1e-6  # of a whole: a part as small is lost in what solvers leave open
+_NO_LOAD = 1e-12  # of the largest load factor: equal load factors differ by rounding
+_LOST = 1e-6  # of a whole: a smaller part is solver error
 
 
 def full_load_step(load_factors: Array) -> int:
@@ -89,9 +89,9 @@ Function = Callable[..., Array]
 def metric(
     unit: str, definition: str, *, degree: int | None, relative: bool = False, **about: Any
 ) -> Callable[[Function], Function]:
-    """Register a function as a metric of its name; `about` are further fields of `Metric`.
+    """Register a function as the metric of its name; `about` are further fields of `Metric`.
 
-    Raises ValueError for a name that is taken.
+    Raises ValueError for a name in use.
     """
 
     def register(function: Function) -> Function:
@@ -106,7 +106,7 @@ def metric(
 
 
 def _not_at_rest(function: Function) -> Function:
-    """A measure in parts of a whole, NaN at steps where nothing acts or moves: what is left there is rounding."""
+    """A relative measure that is NaN at steps without load or motion, where only rounding remains."""
 
     @wraps(function)
     def measure(surface: Surface, model: History, *reference: History) -> Array:
@@ -124,7 +124,7 @@ Compare = Callable[[Surface, Array, Array], Array]  # of displacements (S, N, 3)
 
 
 def _each_step(surface: Surface, model: History, reference: History, compare: Compare) -> Array:
-    """(S,) what `compare` finds; NaN where a step of either failed."""
+    """(S,) results of `compare`; NaN where a step of either failed."""
     u, r = model.displacement, reference.displacement
     usable = np.isfinite(u).all(axis=(1, 2)) & np.isfinite(r).all(axis=(1, 2))
     if usable.all():
@@ -208,7 +208,7 @@ def far_field_error(surface: Surface, model: History, reference: History) -> Arr
     return _regional(surface, model, reference, ~surface.contact)
 
 
-# distances of two surfaces cost more than all other metrics together and are read at full load only
+# distances of two surfaces cost more than all other metrics together: they are evaluated at full load only
 
 
 @metric(
@@ -236,7 +236,7 @@ def hausdorff_distance(surface: Surface, model: History, reference: History) -> 
 def _of_distances(
     surface: Surface, model: History, reference: History, measure: Callable[[Array, float], float]
 ) -> Array:
-    """(S,) NaN but at the step of the largest load, and there where a result failed."""
+    """(S,) NaN except at the step of the largest load, and there if a result failed."""
     step = full_load_step(model.load_factors)
     out = np.full(len(model.load_factors), np.nan)
     if found := model.distances or _distances(surface, model, reference):
@@ -393,7 +393,7 @@ def tangential_share(surface: Surface, model: History) -> Array:
 def mean_indentation(surface: Surface, displacement: Array) -> Array:
     """(S,) mean displacement along the contact force, weighted by it [m]; NaN without any.
 
-    Work over force: with nodal areas for weights it would say as much of the mesh as of the body.
+    It is work over force. Weights by nodal area would make it depend on the mesh as well as on the body.
     """
     sizes = np.linalg.norm(surface.contact_force, axis=1)
     if not sizes.any():
@@ -402,8 +402,8 @@ def mean_indentation(surface: Surface, displacement: Array) -> Array:
 
 
 def evaluate(surface: Surface, model: History, reference: History | None) -> dict[str, Array]:
-    """Every metric that has what it needs: name -> (S,) values."""
-    if reference is not None:  # once for all metrics that read them
+    """Every metric whose input is available: name -> (S,) values."""
+    if reference is not None:  # once for all metrics that use them
         model = replace(model, distances=_distances(surface, model, reference))
     out = {}
     for one in METRICS.values():
@@ -421,7 +421,7 @@ def evaluate(surface: Surface, model: History, reference: History | None) -> dic
 def evaluate_all(
     surface: Surface, models: Mapping[str, History], reference: str | None
 ) -> dict[str, dict[str, Array]]:
-    """`evaluate` of each model against one of them, which is itself compared with nothing."""
+    """`evaluate` of each model against the reference, which itself is compared with nothing."""
     held_against = models[reference] if reference is not None else None
     return {
         name: evaluate(surface, model, held_against if name != reference else None)
@@ -435,7 +435,7 @@ def along(displacements: Array, normals: Array) -> Array:
 
 
 def _of_parts(whole: Array, weights: Array, u: Array, r: Array) -> Array:
-    """(S,) `relative_l2` of parts of fields; NaN where the reference, `whole`, has next to none of the part."""
+    """(S,) `relative_l2` of components of fields; NaN where that of the reference `whole` is negligible."""
     norm = _unless_lost(weighted_norms(r, weights), weighted_norms(whole, weights))
     return ratio(weighted_norms(u - r, weights), norm)
 
@@ -457,8 +457,8 @@ def _regional(surface: Surface, model: History, reference: History, mask: Mask) 
 def _factor_at(depth: float, depths: Array, factors: Array, *, rests: bool) -> float:
     """Load factor at which a model reaches `depth`, linear between its steps and beyond the outer ones.
 
-    Of a factor that comes more than once the first step counts. Without a step of no load, that is no depth of a
-    body that `rests` there, and of any other unknown: NaN.
+    Of equal factors the first step counts. Without a step of zero load, its depth is zero for a body that `rests`
+    then, and otherwise unknown: NaN.
     """
     rounded = np.round(factors / np.abs(factors).max() / _NO_LOAD)
     _, first = np.unique(rounded, return_index=True)
@@ -474,4 +474,4 @@ def _factor_at(depth: float, depths: Array, factors: Array, *, rests: bool) -> f
     return float(y[k - 1] + (depth - x[k - 1]) * (y[k] - y[k - 1]) / (x[k] - x[k - 1]))
 
 
-load_all("vdmbench.measures", "metric_")  # last: they use what is above
+load_all("vdmbench.measures", "metric_")  # last: these files use the definitions above

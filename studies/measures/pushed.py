@@ -1,4 +1,4 @@
-"""How hard a constraint pushes and how far the body gives way, as force against depth: pure functions on arrays."""
+"""Curves of force against depth of a constraint that pushes the body: pure functions on arrays."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from ..study.loads import Constraint
 from ..study.registry import SCANNED
 from ..study.schema import Study, extras_of, has_weight
 
-_BEYOND = 1e-9  # of the largest depth: as far beyond it is rounding
+_BEYOND = 1e-9  # of the largest depth: rounding
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a model answers to S load steps at N surface nodes.
+    """A model's answer to S load steps at N surface nodes.
 
     Attributes
     ----------
     displacement : (S, N, 3) [m]
-    reaction : (S, N, 3) that the support exerts [N]; None where it is not known
-    linear : whether its answers go straight with the load, beyond the steps too
+    reaction : (S, N, 3) force of the support [N]; None if unknown
+    linear : whether the answer is linear in the load, also beyond the steps
     values : inputs that differ from the study's: key -> value, SI
-    indenter_force : (S,) of a rigid indenter, along its push [N]; None where there is none
+    indenter_force : (S,) force of a rigid indenter along its push [N]; None without one
     """
 
     displacement: Array
@@ -44,13 +44,13 @@ class Answer:
     def of(
         cls, result: ModelResult, *, linear: bool = False, values: Mapping[str, float] | None = None
     ) -> Answer:
-        """A result as what it answers."""
+        """The answer of a result."""
         force = result.scalars.get("indenter_force")
         return cls(result.displacement, result.reaction_force, linear, values, force)
 
 
 class Pushed:
-    """One constraint that pushes a body: the curve of force against depth of any answer.
+    """One constraint that pushes a body, and the curve of force against depth for any answer.
 
     Parameters
     ----------
@@ -67,29 +67,29 @@ class Pushed:
     ) -> None:
         self.constraint, self._mask, self._surface = constraint, mask, surface
         self._factors = factors
-        # without load a scanned body is where its scan is, but its weight hangs on what is moved too
+        # without load a scanned body is at its scan, but a region that is moved also carries weight
         scanned = SCANNED in extras_of(study) and constraint.kind != "constrained"
         self.rests = scanned or not has_weight(study)
-        # a pressure's resultant hangs on the mesh, and is none of a pressure from all sides
+        # a pressure's resultant depends on the mesh, and vanishes for a pressure from all sides
         self.unit = "Pa" if constraint.kind == "contact" and constraint.force is None else "N"
 
     @classmethod
     def on(cls, study: Study, mesh: Mesh, name: str) -> Pushed:
-        """The constraint of a name on a mesh."""
+        """The constraint with a name on a mesh."""
         constraint = next(part for part in study.constraints if part.name == name)
         surface = Surface(mesh.surface_points, mesh.triangles)
         mask = select(study.regions[constraint.region], mesh)
         return cls(study, constraint, mask, surface, np.array(study.load.history))
 
     def curve(self, answer: Answer) -> tuple[Array, Array]:
-        """(S,) depths [m] and (S,) forces [N], of what is given by its pressure pressures [Pa].
+        """(S,) depths [m] and (S,) forces [N]; pressures [Pa] for a constraint given by its pressure.
 
-        NaN where the answer does not tell.
+        NaN where the answer does not determine them.
         """
         given = {**self.constraint.model_dump(exclude_none=True), **self._changed(answer)}
         if self.constraint.kind == "contact":
             size = given["pressure" if self.unit == "Pa" else "force"]
-            # inwards along the normal, of the node in contact that moves farthest
+            # inward normal displacement of the contact node that moves farthest
             normals = self._surface.normals[self._mask]
             inward = -np.einsum("sij,ij->si", answer.displacement[:, self._mask], normals)
             farthest = inward[np.arange(len(inward)), np.abs(inward).argmax(axis=1)]
@@ -106,12 +106,12 @@ class Pushed:
         return depths, np.asarray(total @ (prescribed / np.linalg.norm(prescribed)))
 
     def force_at(self, depth: float, answer: Answer) -> float:
-        """The force at a depth [N]: a monotone cubic through the load steps, a line of what is linear.
+        """The force at a depth [N]: a monotone cubic through the load steps, or a line for a linear answer.
 
-        NaN beyond the deepest step, but of a linear answer of a body that rests without load.
+        NaN beyond the deepest step, except for a linear answer of a body that rests without load.
         """
         depths, forces = self.curve(answer)
-        if self.unit == "Pa":  # a uniform one: of any other the study's checks refuse a measured force
+        if self.unit == "Pa":  # uniform: the study's checks refuse a measured force for other profiles
             facets = self._surface.triangles[self._mask[self._surface.triangles].all(axis=1)]
             vectors = facet_area_vectors(self._surface.points, facets)
             forces = forces * float(np.linalg.norm(vectors.sum(axis=0)))
@@ -126,7 +126,7 @@ class Pushed:
         low, high = depths[0], depths[-1]
         if answer.linear:
             return float(forces[0] + (depth - low) * (forces[-1] - forces[0]) / (high - low))
-        from scipy.interpolate import PchipInterpolator  # which a report does without
+        from scipy.interpolate import PchipInterpolator  # slow to load, and not needed by a report
 
         rounding = _BEYOND * (high - low)
         if not low - rounding <= depth <= high + rounding:
@@ -134,7 +134,7 @@ class Pushed:
         return float(PchipInterpolator(depths, forces)(min(max(depth, low), high)))
 
     def _changed(self, answer: Answer) -> dict[str, Any]:
-        """Its keys that an input changes, whole vectors too."""
+        """Keys of the constraint that an input changes, with whole vectors."""
         start = f"constraints.{self.constraint.name}."
         found: dict[str, Any] = {}
         for key, value in (answer.values or {}).items():

@@ -22,9 +22,9 @@ from .uncertainty import estimate_error, estimate_limit
 
 
 def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Array) -> dict[str, float]:
-    """The error of the finest of S-step results on one surface, at the largest load that all of them reached.
+    """The error of the finest of several S-step results on one surface, at the largest load that all reached.
 
-    Empty where they reached none.
+    Empty if they reached none.
 
     Parameters
     ----------
@@ -33,13 +33,12 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
     Returns
     -------
     dict
-        `difference_01` and so on: area-weighted L2 differences of neighbouring levels over the norm of the finest,
-        signed as in `vdmbench.measures.uncertainty`, which makes its estimate from them; `relative_l2`, the
-        estimated error of the displacement; `observed_order`; `levels`; and a GCI for every metric that compares,
-        `gci:<metric>`: what the metric is between the two finest levels, times the GCI over the difference of the
-        displacement.
-        The deformation has its own levels for that. From three levels on, `own_gci:<metric>` of what the finest is
-        by itself, such as its volume drift, from the figures of all levels.
+        `difference_01` and so on: area-weighted L2 differences of neighbouring levels over the norm of the
+        finest, with signs as in `vdmbench.measures.uncertainty`, which estimates the error from them;
+        `relative_l2`, the estimated error of the displacement; `observed_order`; `levels`; and `gci:<metric>` for
+        every metric that compares. That GCI is the metric between the two finest levels, times the displacement's
+        GCI over its difference. The deformation has an estimate of its own. From three levels on,
+        `own_gci:<metric>` of the finest level's own figures, such as its volume drift, from all levels.
     """
     answered = np.all([np.isfinite(level.displacement).all(axis=(1, 2)) for level in levels], axis=0)
     if not answered.any():
@@ -57,7 +56,7 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
         "levels": float(len(levels)),
     }
     margin = vector.gci / differences[0] if differences[0] else 0.0
-    # a body with a weight is not at rest without load: what it does then is part of its stiffness
+    # a body with a weight is not at rest without load: its displacement then is part of its stiffness
     steps = [*(np.flatnonzero(load_factors == 0.0)[:1] if surface.sags else []), step]
     histories = [
         History(
@@ -79,7 +78,7 @@ def own_error(surface: Surface, levels: Sequence[ModelResult], load_factors: Arr
 
 
 def _own_figures(surface: Surface, histories: Sequence[History]) -> dict[str, float]:
-    """`own_gci:<metric>` of the last step's metrics that need no comparison, the finest level first."""
+    """`own_gci:<metric>` of the last step's metrics without comparison; `histories` are the finest level first."""
     figures = [evaluate(surface, history, None) for history in histories]
     levels = {metric: [float(values[metric][-1]) for values in figures] for metric in figures[0]}
     return {
@@ -90,7 +89,7 @@ def _own_figures(surface: Surface, histories: Sequence[History]) -> dict[str, fl
 
 
 def _differences(fields: Sequence[Array], areas: Array) -> list[float]:
-    """Relative norms of u1 - u0, u2 - u1, ..., each with the sign of its product with the first."""
+    """Relative norms of u1 - u0, u2 - u1, ..., signed by their products with the first."""
     size = weighted_norm(fields[0], areas)
     if size == 0.0:
         return [0.0] * (len(fields) - 1)
@@ -103,9 +102,9 @@ def _differences(fields: Sequence[Array], areas: Array) -> list[float]:
 
 
 def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
-    """A study's scene on the finest of some meshes; the regions are those of the coarsest.
+    """A study's scene on the finest mesh of a hierarchy, with the regions of the coarsest.
 
-    The body, its supports and its loads stay what they are; a smooth profile is evaluated anew.
+    Body, supports and loads do not change; a smooth profile is evaluated again.
     """
     coarsest = hierarchy.meshes[0]
     lines = {part.region for part in study.constraints if part.kind == "line"}
@@ -122,7 +121,7 @@ def level_scene(study: Study, hierarchy: Hierarchy) -> Scene:
 
 
 def restricted(result: ModelResult, hierarchy: Hierarchy) -> ModelResult:
-    """A result on the finest mesh at the coarsest's surface nodes; a middle node's force is shared by its ends."""
+    """A result on the finest mesh at the coarsest's surface nodes; an edge middle's force goes half to each end."""
     mesh = hierarchy.meshes[0]
     n, part = len(mesh.surface_nodes), result.part_of_node
     displacement = result.displacement[:, :n]

@@ -3,8 +3,8 @@
 Levels are named from the finest, 0; the mesh size grows by a ratio r from each to the next. The differences of
 neighbours, d01 = f1 - f0 and d12 = f2 - f1, give the observed order p by d12 / d01 = r^p, the estimated error of
 level 0, |d01| / (r^p - 1), and its grid convergence index (GCI), a safety factor times that error (Roache 1994, doi
-10.1115/1.2910291; Celik et al. 2008, doi 10.1115/1.2960953). What the levels do decides how far the estimate can be
-trusted:
+10.1115/1.2910291; Celik et al. 2008, doi 10.1115/1.2960953). The behaviour of the levels decides how far the
+estimate can be trusted:
 
 | behaviour | is | error | factor |
 | --- | --- | --- | --- |
@@ -16,11 +16,11 @@ trusted:
 | oscillating | differences that shrink and change sign | the largest difference between levels | 3 |
 | diverging | differences that do not shrink | the largest difference between levels | 3 |
 
-Two levels show no order. On bodies that nobody tuned for the observed order is 1.1 in the median, at the rims of
-supports and contacts, so that 1 is taken (`results/error-bars.md` has what that covers).
+Two levels show no order. On bodies used for no tuning the median observed order is 1.1, at the rims of supports
+and contacts; 1 is therefore assumed (`results/error-bars.md` has its coverage).
 
-The last three rows follow Eca and Hoekstra (2014, doi 10.1016/j.jcp.2014.01.006); a diverging result has no error
-bar in truth, and whoever prints the number prints the word beside it.
+The last three rows follow Eca and Hoekstra (2014, doi 10.1016/j.jcp.2014.01.006). A diverging result has no true
+error bar: the word is printed beside the number.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ import numpy as np
 
 from solver_common.arrays import Array
 
-VERSION = 2  # of these rules, one more where a bar changes
+VERSION = 2  # of these rules; raised whenever a bar changes
 FORMAL_ORDER = 2.0
 ASSUMED_ORDER = 1.0  # of two levels
 SAFETY, WIDE_SAFETY = 1.25, 3.0
 REASONABLE_ORDERS = (0.5, 4.0)
-STEADY = 1.0  # by how much two observed orders may differ
+STEADY = 1.0  # largest difference of two observed orders
 RESOLUTION = 0.1  # a discrepancy is resolved where the bar is at most this share of it
 
 INDENTATION_FORCE = "indentation_force_error"
 STRAINS = ("mean_strain_x", "mean_strain_y", "mean_strain_z")
-# figures that two meshes may give alike by chance
+# figures that two meshes may share by chance
 SIGNED = (INDENTATION_FORCE, "volume_drift", "volume_drift_of_displaced", *STRAINS, "contact_work")
 
 CONVERGING, TWO_LEVELS, UNSTEADY = "converging", "two levels", "unsteady"
@@ -55,7 +55,7 @@ OSCILLATING, DIVERGING = "oscillating", "diverging"
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """An estimate of the finest level's error, in the unit of the differences that it was made from."""
+    """An estimate of the finest level's error, in the unit of the given differences."""
 
     error: float
     gci: float
@@ -69,15 +69,15 @@ class ErrorEstimate:
 
 
 def is_resolved(discrepancy: float | Array, bar: float | Array) -> Any:
-    """Whether discrepancies stand out from the error bars of what they are measured against, numbers or arrays.
+    """Whether discrepancies exceed the error bars of their reference, for numbers or arrays.
 
-    The one definition that tables, verdicts, limits and gates use. False where either is not finite.
+    Tables, verdicts, limits and gates all use this definition. False where either is not finite.
     """
     return np.isfinite(bar) & np.isfinite(discrepancy) & (bar <= RESOLUTION * np.abs(discrepancy))
 
 
 def reference_bar(reference_error: Mapping[str, float], metric: str) -> float:
-    """The part of a metric's value that may be the reference's own error; NaN where it was not measured.
+    """The part of a metric's value that may be the reference's own error; NaN if not measured.
 
     Parameters
     ----------
@@ -88,32 +88,32 @@ def reference_bar(reference_error: Mapping[str, float], metric: str) -> float:
 
 
 def least_bar(metric: str, figures: Mapping[str, float], relative: float) -> float:
-    """What the bar of a signed figure may not be less than; NaN of a norm, and where that is not known.
+    """Least bar of a signed figure; NaN for a norm, and where it is unknown.
 
-    Two meshes give a signed figure alike by chance where their errors at the contact and at the support have
-    opposite signs; a norm of differences has no signs. So no such figure counts as better known, in parts of what
-    it is made from, than the displacement.
+    Two meshes may agree on a signed figure by chance, if their errors at the contact and at the support have
+    opposite signs. A norm of differences has no signs. Relative to its parts, no such figure therefore counts as
+    more accurate than the displacement.
 
     Parameters
     ----------
     figures : metrics of the same model and load: strains, drift or work of the reference, or the indentation force
-    relative : the reference's own error in displacement, of the displacement
+    relative : the reference's own relative error in displacement
     """
     value = figures.get(metric, math.nan)
-    if metric == INDENTATION_FORCE:  # a ratio of forces, which goes with the reference's depth
+    if metric == INDENTATION_FORCE:  # a ratio of forces, proportional to the reference's depth
         return relative * abs(1.0 + value)
     if metric == "contact_work":
         return relative * abs(value)
     if metric in STRAINS:
         return relative * max(abs(figures.get(strain, math.nan)) for strain in STRAINS)
     of_displaced = figures.get("volume_drift_of_displaced", math.nan)
-    if metric == "volume_drift":  # drift over drift of displaced is the displaced volume over the volume
+    if metric == "volume_drift":  # over volume_drift_of_displaced it is the displaced volume over the volume
         return relative * abs(value / of_displaced) if of_displaced else math.nan
     return relative if metric == "volume_drift_of_displaced" else math.nan
 
 
 def stored_estimate(reference_error: Mapping[str, float]) -> ErrorEstimate | None:
-    """The estimate behind a case's `reference_error`; None where it was not measured, or is no number."""
+    """The estimate behind a case's `reference_error`; None if not measured or not finite."""
     differences = [
         reference_error[key]
         for key in ("difference_01", "difference_12", "difference_23")
@@ -127,8 +127,8 @@ def estimate_error(differences: Sequence[float], ratio: float = 2.0) -> ErrorEst
 
     Parameters
     ----------
-    differences : signed, for a field their norms, each with the sign of its product with d01
-    ratio : of the mesh sizes of neighbours
+    differences : signed; for a field norms, each with the sign of its product with d01
+    ratio : of neighbouring mesh sizes
 
     Raises
     ------
@@ -157,9 +157,9 @@ def estimate_error(differences: Sequence[float], ratio: float = 2.0) -> ErrorEst
 
 
 def estimate_limit(values: Sequence[float], ratio: float = 2.0) -> tuple[float, ErrorEstimate]:
-    """Richardson's extrapolation of a number on ever coarser meshes, the finest first, and the finest's error.
+    """Richardson's extrapolation of a number on ever coarser meshes, finest first, and the finest's error.
 
-    The finest value itself where its levels do not converge.
+    If the levels do not converge, the finest value itself.
     """
     differences = [coarse - fine for fine, coarse in itertools.pairwise(values)]
     estimate = estimate_error(differences, ratio)
@@ -191,6 +191,6 @@ def _order(d01: float, d12: float, ratio: float) -> float:
 
 
 def _largest_difference(differences: Sequence[float]) -> float:
-    """Between any two levels, in the units of the differences."""
+    """Largest difference between any two levels, in the units of the differences."""
     places = list(itertools.accumulate(differences, initial=0.0))
     return max(places) - min(places)

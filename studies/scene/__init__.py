@@ -1,4 +1,4 @@
-"""Where the body is held and pressed. In: a case and a mesh.
+"""The scene: supports and loads. In: a case and a mesh.
 
-Out: `Scene`: regions, supports, loads as arrays, given to every model; `ModelResult`, the form of an answer.
+Out: `Scene`, the regions, supports and loads as arrays, for every model; `ModelResult`, the form of an answer.
 """

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from html import escape  # that of XML loads what opens network addresses
+from html import escape  # the standard library's escape for XML loads network modules
 from pathlib import Path
 from typing import TypeVar
 
@@ -28,7 +28,7 @@ T = TypeVar("T", bound=np.generic)
 
 LOCKS_FROM = 0.45  # Poisson's ratio from which linear tetrahedra are visibly too stiff
 FORCE_UNIT = 1e-6  # of the MuJoCo scene [N], and of its masses [kg]
-TAKES = frozenset({"dead forces"})  # of the extras of a study what a scene has words for
+TAKES = frozenset({"dead forces"})  # extras of a study that a scene can express
 SCENES = {  # file -> program
     "scene_sofa.py": "SOFA (Python scene)",
     "scene.feb": "FEBio (.feb, format 4.0)",
@@ -38,7 +38,7 @@ SCENES = {  # file -> program
 
 @dataclass(frozen=True)
 class Handout:
-    """A scene with tetrahedra under one load, in SI units: n points, `mesh.surface_nodes[i]` is surface node i.
+    """A tetrahedral scene under one load, in SI units: n points; surface node i is point `mesh.surface_nodes[i]`.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Handout:
 
     @property
     def mesh(self) -> Mesh:
-        """The scene's own."""
+        """The scene's mesh."""
         return self.scene.mesh
 
     @property
@@ -68,7 +68,7 @@ class Handout:
 
     @cached_property
     def displacement(self) -> Array:
-        """(n, 3) of these, zero elsewhere [m]."""
+        """(n, 3) displacement of the held points, zero elsewhere [m]."""
         return self._at_points(np.where(self.scene.held[:, None], self.load.prescribed, 0.0))
 
     @cached_property
@@ -82,14 +82,14 @@ class Handout:
         return self.load.facet_pressure @ facet_quadrature()[1]
 
     def _at_points(self, values: NDArray[T]) -> NDArray[T]:
-        """(n, ...) of values (N, ...) at the surface nodes, zero inside."""
+        """(n, ...) point values from (N, ...) at the surface nodes, zero inside."""
         found = np.zeros((len(self.mesh.points), *values.shape[1:]), dtype=values.dtype)
         found[self.mesh.surface_nodes] = values
         return found
 
     @cached_property
     def mass(self) -> Array:
-        """(n,) a quarter of each tetrahedron's mass at each of its points [kg]."""
+        """(n,) lumped masses: a quarter of each tetrahedron at each of its points [kg]."""
         corners = self.mesh.points[self.mesh.tetrahedra]
         volume = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
         share = np.repeat(0.25 * self.tissue.density * volume, 4)
@@ -100,12 +100,12 @@ class Handout:
 
     @property
     def whole_force(self) -> Array:
-        """(n, 3) forces with the weight, which is exact for linear tetrahedra [N]."""
+        """(n, 3) forces including weight, exact for linear tetrahedra [N]."""
         return self.force + self.mass[:, None] * self.load.gravity
 
     @property
     def moved(self) -> Mask:
-        """(n,) held points that do not stay at rest."""
+        """(n,) held points with a displacement other than zero."""
         return self.held & self.displacement.any(axis=1)
 
     @property
@@ -120,7 +120,7 @@ class Handout:
 
 
 def write_scene(body: Handout, out: Path) -> tuple[list[str], list[str]]:
-    """Write a scene into a directory. Gives the files' names, and a line for each that is not there. OSError."""
+    """Write a scene into a directory; returns file names, and a line for each missing one. Raises OSError."""
     out.mkdir(parents=True, exist_ok=True)
     mesh, numbers = body.mesh, body.surface_number
     on_facets = {name: np.all(mask[mesh.triangles], axis=1) for name, mask in body.scene.regions.items()}
@@ -151,14 +151,14 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # no page: what is text in them goes through `comment`, or into a Python string
+        autoescape=False,  # no HTML: texts pass through `comment`, or into a Python string
     )
     environment.filters["comment"] = lambda lines: escape("\n".join(lines), quote=False).replace("--", "- -")
     return environment
 
 
 def scene_text(body: Handout, name: str, *, with_loads: bool = True) -> str:
-    """The scene of a program in `SCENES`; the MuJoCo one can do without loads."""
+    """The scene for a program in `SCENES`; loads are optional in MuJoCo's."""
     force = np.where(body.held[:, None], 0.0, body.whole_force)
     pushed = np.flatnonzero(body.force.any(axis=1) & ~body.held)
     moved = np.flatnonzero(body.moved)
@@ -184,7 +184,7 @@ def scene_text(body: Handout, name: str, *, with_loads: bool = True) -> str:
 
 
 def cannot_express(body: Handout, takes: frozenset[str]) -> str:
-    """Why linear tetrahedra of an isotropic law that take these extras cannot be this scene; "" where they can."""
+    """Why linear tetrahedra of an isotropic law with these extras cannot express this scene; "" if they can."""
     if body.tissue.poisson_ratio == 0.5:
         return "its tetrahedra have no law for an incompressible tissue; give a poisson_ratio below 0.5"
     if others := sorted(set(body.scene.extras) - takes):
@@ -193,7 +193,7 @@ def cannot_express(body: Handout, takes: frozenset[str]) -> str:
 
 
 def remarks(body: Handout) -> list[str]:
-    """What the head of a scene says: units, load, and what the scene leaves out."""
+    """Remarks at the head of a scene: units, load, and omissions."""
     told = [
         body.name,
         "Lengths in m, forces in N, stresses in Pa, masses in kg. Points as in mesh.vtu.",
@@ -208,7 +208,7 @@ def remarks(body: Handout) -> list[str]:
     return told
 
 
-# --- for a program that has no scene of its own here ---
+# --- for programs without a scene here ---
 
 
 def scene_json(body: Handout) -> str:
@@ -259,6 +259,6 @@ def scene_json(body: Handout) -> str:
 
 
 def left_out(body: Handout) -> list[str]:
-    """What the JSON has no words for."""
+    """The parts of a scene that the JSON cannot express."""
     known = TAKES | {"normal springs", "full springs", "inclusions"}
     return sorted(set(body.scene.extras) - known)

@@ -1,4 +1,4 @@
-"""Parts of a body with moduli of their own: the tetrahedra that they take, and the moduli of each tetrahedron."""
+"""Parts of a body with their own moduli: their tetrahedra, and the moduli of each tetrahedron."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ..body.topology import OUTWARD_FACES
 from ..study.schema import Inclusion, Study, Tissue
 from .regions import SceneError, holds, in_group
 
-_PLACES = 24  # along each axis, of which the deepest is told
+_PLACES = 24  # along each axis, to find the deepest place for a message
 
 
 @dataclass(frozen=True)
 class PlacedInclusion:
-    """An inclusion, and its (m,) tetrahedra on a mesh."""
+    """An inclusion and its tetrahedra (m,) on a mesh."""
 
     declared: Inclusion
     inside: Mask
@@ -31,15 +31,15 @@ def place_inclusions(
 ) -> tuple[PlacedInclusion, ...]:
     """The inclusions of a study on a mesh.
 
-    None on a mesh without tetrahedra, where it is only seen that each lies in the body.
+    None on a mesh without tetrahedra; there each inclusion is only checked to lie in the body.
 
-    A tetrahedron belongs to the last inclusion that its centroid lies in, by the rules of regions. `known` are the
-    tetrahedra where the mesh is a refinement, on which the inclusions are those of the coarse mesh.
+    A tetrahedron belongs to the last inclusion that contains its centroid, by the rules of regions. `known` are
+    the tetrahedra on a refinement, where the inclusions are those of the coarse mesh.
 
     Raises
     ------
     SceneError
-        an inclusion outside the body or without a tetrahedron, a group that the mesh has not.
+        an inclusion outside the body or without a tetrahedron, or a group that the mesh lacks.
     """
     if not study.inclusions:
         return ()
@@ -54,7 +54,7 @@ def place_inclusions(
 def on_mesh(
     declared: Sequence[Inclusion], mesh: Mesh, known: Mapping[str, Mask] | None = None
 ) -> tuple[PlacedInclusion, ...]:
-    """The same on a mesh with tetrahedra."""
+    """`place_inclusions` on a mesh with tetrahedra."""
     inside = [
         known[part.name] if known else _inside(part, mesh, "inclusions", k) for k, part in enumerate(declared)
     ]
@@ -72,7 +72,7 @@ def on_mesh(
 
 
 def moduli(tissue: Tissue, inclusions: Sequence[PlacedInclusion]) -> tuple[Array, Array | float, Index]:
-    """Young's modulus of each tetrahedron (m,) [Pa], Poisson's ratio, one where all have the same, and its part.
+    """Young's modulus (m,) [Pa], Poisson's ratio (m,) or one for all, and part (m,) of each tetrahedron.
 
     Part 0 is the tissue around the inclusions, part k the k-th of them.
     """
@@ -88,11 +88,11 @@ def moduli(tissue: Tissue, inclusions: Sequence[PlacedInclusion]) -> tuple[Array
 
 
 def interfaces(mesh: Mesh, inclusions: Sequence[PlacedInclusion]) -> tuple[Index, Index, Index]:
-    """What lies between the inclusions and around them: facets (I, 3), regions on both sides (I, 2), owners (m,).
+    """Interfaces between and around the inclusions: facets (I, 3), regions on both sides (I, 2), owners (m,).
 
-    The facets are of the points of the mesh, and their normals point from the first region to the second. Region 0
-    is the tissue at the surface; each further one is a connected piece of an inclusion, or of the tissue inside
-    one, and owners say of which number in the list, -1 for the tissue.
+    Facets are in point numbers of the mesh; their normals point from the first region to the second. Region 0 is
+    the tissue at the surface. Each further region is a connected piece of an inclusion, or of the tissue inside
+    one. Owners are numbers in the list of inclusions, -1 for tissue.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def interfaces(mesh: Mesh, inclusions: Sequence[PlacedInclusion]) -> tuple[Index
     pairs = set(map(tuple, np.sort(sides, axis=1).tolist()))
     if len(pairs) != len(regions) - 1:
         around = [{sum(pair) - k for pair in pairs if k in pair} for k in range(len(regions))]
-        circling = set(range(len(regions)))  # regions that lead back to themselves by others
+        circling = set(range(len(regions)))  # regions that lead back to themselves through others
         while ends := {k for k in circling if len(around[k] & circling) < 2}:
             circling -= ends
         numbers = {int(k) for k in label[regions[sorted(circling)]] if k >= 0}
@@ -144,7 +144,7 @@ def interfaces(mesh: Mesh, inclusions: Sequence[PlacedInclusion]) -> tuple[Index
 
 
 def _outside(part: Inclusion, mesh: Mesh) -> str:
-    """Where the body is deepest, of an inclusion whose middle lies outside it; else nothing."""
+    """The deepest place of the body, for a message on an inclusion whose middle is outside; else ""."""
     ends = (part.ball.center,) if part.ball else (part.box.min, part.box.max) if part.box else ()
     points, triangles = mesh.surface_points, mesh.triangles
     if not ends or solid_angles(np.mean(ends, axis=0)[None], points, triangles)[0] > 0.5:
@@ -162,6 +162,6 @@ def _outside(part: Inclusion, mesh: Mesh) -> str:
 
 
 def _inside(inclusion: Inclusion, mesh: Mesh, *place: str | int) -> Mask:
-    """(m,) tetrahedra of an inclusion, whatever others take."""
+    """(m,) tetrahedra of an inclusion, including those of later ones."""
     found = holds(inclusion, mesh, mesh.points[mesh.tetrahedra].mean(axis=1))
     return found & in_group(inclusion.group, mesh.volumes, *place) if inclusion.group is not None else found

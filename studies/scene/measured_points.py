@@ -1,4 +1,4 @@
-"""Where measured points lie on a mesh: the nearest point of its surface, in barycentric coordinates."""
+"""Places of measured points on a mesh: the nearest point of its surface, in barycentric coordinates."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ..study.measured import Measured, MeasuredPoint
 from ..study.schema import Study
 from .regions import SceneError, body_extent
 
-# of the mean edge: how far from the surface a point may be measured; flat facets leave a round body by less
+# of the mean edge: largest distance of a measured point from the surface; flat facets on a round body need less
 MOST_OFF = 0.5
-_UNITS = 10.0  # a surface so many times larger or smaller than the body is in another unit
+_UNITS = 10.0  # a surface this many times larger or smaller than the body has another unit
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Placed:
 
 
 def place_measured(study: Study, mesh: Mesh) -> list[Placed]:
-    """Each measured table of a study on a mesh; one without points, a deformed surface, has none.
+    """The places of each measured table of a study on a mesh; none for a table with a deformed surface.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A constraint on its mesh: what the kinds of constraints make pressures, lines and indenters from."""
+"""A constraint on its mesh, from which the kinds of constraints make pressures, lines and indenters."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from fem_reference.indenter import Indenter
 
 
-_LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: below it is rounding or chance
+_LEAST_RESULTANT = 1e-6  # of a contact, over the sum of its facets' forces: smaller is rounding or chance
 
 
 @dataclass(frozen=True)
 class PlacedConstraint:
     """A constraint on a mesh of N surface nodes and F facets with Q quadrature points each.
 
-    `place` is its own in the study, `nodes` (N,) the mask of its `region`.
+    `place` is its place in the study, `nodes` (N,) the mask of its `region`.
     """
 
     constraint: Constraint
@@ -52,8 +52,8 @@ class PlacedConstraint:
     def pressure(self, profile: str) -> Array:
         """(F, Q) pressure of peak 1 over the region.
 
-        A uniform pressure acts on the facets whose three nodes are in the region. A smooth profile is integrated
-        over the facets (`vdmbench.scene.placed`): its resultant hangs neither on mesh level nor on model.
+        A uniform pressure acts on the facets with three nodes in the region. A smooth profile is integrated over
+        the facets (`on_facets`): its resultant depends neither on the mesh level nor on the model.
         """
         asked = ("pressure", profile, self.region.model_dump_json(), self.nodes.tobytes())
         shape = self.mesh.remembered(asked, lambda: self._shape(profile))
@@ -75,7 +75,7 @@ class PlacedConstraint:
         return resultant
 
     def edges(self) -> Index:
-        """(k, 2) edges of the surface between the nodes of a region that has no facet of its own."""
+        """(k, 2) surface edges between the nodes of a region without a facet."""
         triangles, mask = self.triangles, self.nodes
         sides = np.sort(half_edges(triangles), axis=1)
         edges = np.unique(sides[mask[sides].all(axis=1)], axis=0)
@@ -103,17 +103,17 @@ class PlacedConstraint:
         return SceneError(f"{self.constraint.kind} {self.constraint.name!r} {text}", *self.place)
 
 
-# --- A rigid indenter on its mesh: where its tip first touches ---
+# --- a rigid indenter on its mesh: the place where its tip first touches ---
 
 
-_HALVINGS = 8  # of a facet's edges: what is left of a gap is their (1/512)^2 over twice the radius
-_NEAREST = 1000  # quarters that are halved on
-_LEAST = 1e-6  # of a region's area, below which its facets have no mean normal
+_HALVINGS = 8  # of a facet's edges: the gap's error is their (1/512)^2 over twice the radius
+_NEAREST = 1000  # quarters that are refined further
+_LEAST = 1e-6  # of a region's area: smaller area vectors give no mean normal
 
 
 @dataclass(frozen=True)
 class PlacedIndenter:
-    """An indenter that touches at depth zero, (F,) facets that it can touch, and its depth at load factor 1 [m]."""
+    """An indenter that touches at depth zero, (F,) facets within its reach, and its depth at load factor 1 [m]."""
 
     indenter: Indenter
     facets: Mask
@@ -126,7 +126,7 @@ def place_indenter(facets: Mask, pushed: IndenterTable, mesh: Mesh, place: Loc) 
     Raises
     ------
     SceneError
-        a region without a mean normal where no push is given, or an indenter that cannot be.
+        a region without a mean normal where no push is given, or an impossible indenter.
     """
     from fem_reference.indenter import Capsule, FlatPunch, Indenter, Sphere
     from solver_common.solution import SolverError
@@ -158,7 +158,7 @@ def place_indenter(facets: Mask, pushed: IndenterTable, mesh: Mesh, place: Loc) 
 
 
 def _least_gap(there: Indenter, corners: Array) -> float:
-    """The least gap [m] on flat facets of corners (3, F, 3), on a lattice that is finer where it is small."""
+    """Least gap [m] on flat facets with corners (3, F, 3), on a lattice that is finer where the gap is small."""
     for _ in range(_HALVINGS):
         corners = _quarters(corners)
         nearest = np.argsort(there.gap(corners).min(axis=0))
@@ -166,22 +166,22 @@ def _least_gap(there: Indenter, corners: Array) -> float:
     return float(there.gap(corners).min())
 
 
-# --- Smooth contact profiles on flat facets: integrated, so that their resultant belongs to no mesh ---
+# --- smooth contact profiles on flat facets, integrated so that their resultant does not depend on the mesh ---
 
 
-_FINEST = 4e-3  # change of rho over a cell that is not split further: leaves less than 1e-6 of the resultant
-_SMOOTH = 0.25  # the same far from the rim, where the rule on a facet leaves less than that
-_FROM_RIM = 3.0  # such changes between a cell and the rim, where the Hertz profile has an infinite slope
-# the products of two barycentric coordinates span the polynomials of second degree, with which loads are integrated
+_FINEST = 4e-3  # change of rho over a cell that is not split: its error is below 1e-6 of the resultant
+_SMOOTH = 0.25  # the same far from the rim, where the facet's rule is that accurate
+_FROM_RIM = 3.0  # such changes from a cell to the rim, where the Hertz profile has an infinite slope
+# the products of two barycentric coordinates span the polynomials of second degree, which load integrals need
 _PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 
 
 def on_facets(profile: str, region: Region, mesh: Mesh, rule: tuple[Array, Array]) -> Array:
     """(F, Q) values at the quadrature points of a facet whose sums are the profile's integrals.
 
-    The rule's sums with all polynomials of second degree are those of the profile itself over the flat facet, to
-    1e-6 of the whole. Loads on linear and quadratic elements are thereby exact, whatever the mesh; near the rim the
-    values are no samples of the profile, and may be a little below zero.
+    The rule's sums with all polynomials of second degree equal the profile's integrals over the flat facet, to
+    1e-6 of the whole. Loads on linear and quadratic elements are thus exact on any mesh. Near the rim the values
+    are not samples of the profile, and may be slightly negative.
 
     Parameters
     ----------
@@ -194,8 +194,8 @@ def on_facets(profile: str, region: Region, mesh: Mesh, rule: tuple[Array, Array
     )  # (3, C, 3) of the cells, at first the facets
     cells = np.broadcast_to(
         np.eye(3)[:, None], corners.shape
-    )  # the same in the facet's barycentric coordinates
-    share = 1.0  # of a cell in its facet
+    )  # the same in barycentric coordinates of the facet
+    share = 1.0  # area of a cell over that of its facet
     while len(facets):
         split, whole = _are_split(region, mesh, corners)
         values = PROFILES[profile](profile_coordinate(region, mesh, _at(rule[0], corners[:, whole])))
@@ -208,9 +208,9 @@ def on_facets(profile: str, region: Region, mesh: Mesh, rule: tuple[Array, Array
 
 
 def _are_split(region: Region, mesh: Mesh, corners: Array) -> tuple[Mask, Mask]:
-    """(C,) cells over which the profile is not smooth enough for the rule, and those over which it is.
+    """(C,) cells where the profile is too rough for the rule, and (C,) cells where it is smooth enough.
 
-    In neither are those that lie beyond the rim.
+    Cells beyond the rim are in neither.
     """
     sides = corners - np.roll(corners, 1, axis=0)
     longest = np.sqrt(np.einsum("kci,kci->kc", sides, sides).max(axis=0))
@@ -223,24 +223,24 @@ def _are_split(region: Region, mesh: Mesh, corners: Array) -> tuple[Mask, Mask]:
 
 
 def _at(barycentric: Array, corners: Array) -> Array:
-    """(Q, C, 3) places in cells whose corners are (3, C, 3)."""
+    """(Q, C, 3) points of cells with corners (3, C, 3)."""
     return np.asarray(np.tensordot(barycentric, corners, axes=1))
 
 
 def _moments(values: Array, cells: Array, facets: Index, rule: tuple[Array, Array], count: int) -> Array:
-    """(F, 6) integrals of (Q, C) values times the products, over the cells' area, summed by facet."""
+    """(F, 6) integrals of values (Q, C) times the products, over the cells' area, summed by facet."""
     barycentric, weights = rule
     found = np.einsum("qc,kqc->kc", values * weights[:, None], _products(_at(barycentric, cells)))
     return np.stack([np.bincount(facets, row, count) for row in found], axis=1)
 
 
 def _products(barycentric: Array) -> Array:
-    """(6, ...) of barycentric coordinates (..., 3)."""
+    """(6, ...) products of barycentric coordinates (..., 3)."""
     return np.stack([barycentric[..., a] * barycentric[..., b] for a, b in _PRODUCTS])
 
 
 def _quarters(cells: Array) -> Array:
-    """(3, 4 C, 3) of cells (3, C, 3), by the middles of their edges."""
+    """(3, 4 C, 3) quarters of cells (3, C, 3), by the middles of their edges."""
     a, b, c = cells
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]

@@ -1,4 +1,4 @@
-"""Regions of a surface: the nodes that they select on a mesh."""
+"""Regions of a surface: their nodes on a mesh."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ..study.errors import InputError
 from ..study.schema import Ball, Cap, HalfSpace, Places, Region
 
 AXES = {"x": 0, "y": 1, "z": 2}
-_TOLERANCE = 1e-9  # of the body's size: nodes on the border of a region belong to it
+_TOLERANCE = 1e-9  # of the body's size: nodes on a region's border belong to it
 
 
 class SceneError(InputError):
-    """A scene that cannot be put on its mesh; the message says which part and what to change."""
+    """A scene that does not fit its mesh; the message names the part and the remedy."""
 
 
 def select(region: Region, mesh: Mesh) -> Mask:
@@ -35,7 +35,7 @@ def select(region: Region, mesh: Mesh) -> Mask:
 
 
 def holds(part: Places, mesh: Mesh, points: Array) -> Mask:
-    """(n,) which points (n, 3) lie where all keys of a region or an inclusion say, its group apart."""
+    """(n,) which points (n, 3) satisfy all keys of a region or an inclusion, except its group."""
     found = np.ones(len(points), dtype=bool)
     if part.below is not None:
         found &= _beyond(part.below, mesh, points, sign=-1.0)
@@ -52,7 +52,7 @@ def holds(part: Places, mesh: Mesh, points: Array) -> Mask:
 
 
 def in_group(name: str, groups: Mapping[str, Mask], *place: str | int) -> Mask:
-    """What is in a named group of a mesh file, for what is at a place of the study. Raises SceneError."""
+    """The mask of a named group of a mesh file; `place` is the place in the study for errors. Raises SceneError."""
     if name not in groups:
         known = ", ".join(sorted(groups)) or "none"
         raise SceneError(f"the mesh has no group {name!r}; it has: {known}", *place)
@@ -60,7 +60,7 @@ def in_group(name: str, groups: Mapping[str, Mask], *place: str | int) -> Mask:
 
 
 def body_extent(mesh: Mesh) -> str:
-    """What to tell beside a place that is not on a body."""
+    """The body's extent, for messages on places outside it."""
     low, high = mesh.surface_points.min(axis=0), mesh.surface_points.max(axis=0)
     extent = ", ".join(f"{a} from {p:.3g} to {q:.3g}" for a, p, q in zip("xyz", low, high, strict=True))
     return f"the body has {extent} m; a mixed-up unit? A bare number is in metres"
@@ -80,13 +80,13 @@ def _margin(mesh: Mesh) -> float:
 
 
 def profile_coordinate(region: Region, mesh: Mesh, points: Array) -> Array:
-    """Distance (...,) of points (..., 3) from the middle of a region that is a cap or a ball, 1 at its rim.
+    """(...,) distance of points (..., 3) from the middle of a cap or ball, 1 at its rim.
 
-    In a cap: the angle seen from the body's centroid over the cap's; in a ball: the distance over its radius.
+    In a cap: the angle seen from the body's centroid over the cap's angle. In a ball: the distance over the radius.
     """
     if region.ball is not None:
         return _from_ball(region.ball, points)
-    assert region.cap is not None  # a study refuses other regions of a profile
+    assert region.cap is not None  # a study refuses profiles on other regions
     return _from_cap(region.cap, mesh, points)
 
 
@@ -114,7 +114,7 @@ def profile_slope(region: Region, mesh: Mesh, points: Array) -> Array:
 
 
 def _length(vectors: Array) -> Array:
-    """(...,) of vectors (..., 3): `np.linalg.norm`, several times as fast for many short ones."""
+    """(...,) lengths of vectors (..., 3); several times faster than `np.linalg.norm` for many short ones."""
     return np.asarray(np.sqrt(np.einsum("...k,...k->...", vectors, vectors)))
 
 

@@ -1,4 +1,4 @@
-"""What a model answers, as plain data: a table of load steps, some of which are picked, joined, or lost."""
+"""A model's answer as plain data: a table of load steps, with functions to select, join or lose steps."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ import numpy as np
 from solver_common.arrays import Array, Index, Mask
 from solver_common.solution import Solution, Status
 
-REFUSED = "refused"  # status of a model that could not be set up: before any solve, for a reason of the input
+REFUSED = "refused"  # status of a model that could not be set up because of its input
 
 # scalar of a body scanned under its weight: largest distance from its rest shape to the scanned one [m]
 REST_DISTANCE = "rest_distance"
 
-LEAST_ROUNDS = 3  # of frames, from which on none within a limit is no chance
+LEAST_ROUNDS = 3  # of frames: from here on it is no chance if none is within a limit
 
 
 @dataclass(frozen=True)
 class FrameTimes:
-    """What one model was measured to take in R rounds, in turns with the others, as (R,) arrays of seconds.
+    """Times of one model measured in R rounds, in turns with the others, as (R,) arrays of seconds.
 
     Attributes
     ----------
     setup : operators and factors of a new body
     contact : a load on the fixed contact region, factors kept
-    everywhere : a load over the whole free surface, factors kept; NaN of a model that has no such frame
+    everywhere : a load over the whole free surface, factors kept; NaN for a model without such a frame
     processor : of the machine that measured
     case : label of the case on whose mesh and load they were measured
     """
@@ -41,7 +41,7 @@ class FrameTimes:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelResult(Solution):
-    """One model's solution of S load steps on N surface nodes, with what it took.
+    """One model's solution of S load steps on N surface nodes, with its costs.
 
     A step that failed holds NaN in its arrays; its status says why.
 
@@ -50,7 +50,7 @@ class ModelResult(Solution):
     volume : (S,) exact volume of the deformed surface polyhedron [m^3]
     peak_bytes : peak resident memory that the model added
     version : declared version of the model
-    frames : measured anew when the run ended; None where they were not
+    frames : measured at the end of a run; None if not measured
     """
 
     volume: Array
@@ -67,7 +67,7 @@ class ModelResult(Solution):
 
     def __post_init__(self) -> None:
         taken = self.scalars.keys() & {own.name for own in fields(self)}
-        if taken:  # they are columns of one table
+        if taken:  # all are columns of one table
             raise ValueError(f"a model's own output cannot be called {min(taken)!r}: every result has one")
 
 
@@ -96,7 +96,7 @@ def steps_of(result: ModelResult, steps: Sequence[int] | Index) -> ModelResult:
 
 
 def joined(first: ModelResult, parts: Sequence[ModelResult]) -> ModelResult:
-    """The steps of some results of one model, one after the other; what is not of steps is that of the `first`."""
+    """The steps of several results of one model, one after the other; other fields are those of `first`."""
     arrays: Any = {name: np.concatenate([getattr(part, name) for part in parts]) for name in STEPS}
     return replace(
         first,
@@ -112,7 +112,7 @@ def joined(first: ModelResult, parts: Sequence[ModelResult]) -> ModelResult:
 
 
 def answered(result: ModelResult, kept: Mask | bool = False) -> ModelResult:
-    """A result that has no answer to steps that failed, but to those that are `kept` (S,)."""
+    """A result without answers to failed steps, except those in `kept` (S,)."""
     lost = np.array([not status.ok for status in result.status], dtype=bool) & ~np.asarray(kept)
     if not lost.any():
         return result
@@ -128,7 +128,7 @@ def answered(result: ModelResult, kept: Mask | bool = False) -> ModelResult:
 
 
 def unanswered(status: Sequence[Status], n_nodes: int, version: str) -> ModelResult:
-    """A result without any answer on N nodes, and why for each step."""
+    """A result without any answer on N nodes, with the status of each step."""
     numbers, vectors = np.full(len(status), np.nan), np.full((len(status), n_nodes, 3), np.nan)
     return ModelResult(
         displacement=vectors,

@@ -1,4 +1,4 @@
-"""A study's scene on one mesh, as plain arrays: the one thing that every model is given."""
+"""A study's scene on one mesh as plain arrays, the input of every model."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .regions import SceneError, body_extent, select
 
 @dataclass(frozen=True)
 class SurfaceLoad:
-    """What acts on a scene's body in one load step, as each kind of model reads it; outward positive, read-only.
+    """The load on a scene's body in one step, in the forms that models read; outward positive, read-only.
 
     Attributes
     ----------
@@ -33,8 +33,8 @@ class SurfaceLoad:
     prescribed : (N, 3) displacement of held nodes, zero elsewhere [m]
     gravity : (3,) acceleration [m/s^2]
     points : (N, 3) the surface nodes at rest [m]
-    dead : dead forces: (k, 2) nodes of edges or (k, 3) of facets, and the resultant (3,) spread evenly there [N]
-    depth : of the indenter, where there is one [m]
+    dead : dead forces: nodes (k, 2) of edges or (k, 3) of facets, and the resultant (3,) spread evenly there [N]
+    depth : of the indenter, if any [m]
     """
 
     facet_pressure: Array
@@ -64,7 +64,7 @@ class SurfaceLoad:
 
     @property
     def acts(self) -> bool:
-        """Whether anything but its weight acts on the body."""
+        """Whether anything but weight acts on the body."""
         return self.depth != 0.0 or any(
             part.any() for part in (self.facet_pressure, self.dead_force, self.prescribed)
         )
@@ -78,7 +78,7 @@ class Scene:
     ----------
     mesh : the mesh that all models share
     tissue : E [Pa], nu, density [kg/m^3]
-    parameters : VDM parameters that the study sets, by name; what is left out follows a rule
+    parameters : VDM parameters that the study sets, by name; others follow a rule
     overrides : the same for single models, by full model name
     regions : (N,) masks by name
     fixed : (N,) nodes held at rest
@@ -92,9 +92,9 @@ class Scene:
     condition : whether the condition of the VDM models' systems is estimated
     dead : dead forces at load factor 1, see `SurfaceLoad`
     springs : between facets and the ground
-    extras : what it has that not every model takes, see `vdmbench.study.schema.extras_of`
+    extras : features that not every model takes, see `vdmbench.study.schema.extras_of`
     inclusions : parts of the inside with moduli of their own
-    homogeneous : models that answer as if there were no inclusions
+    homogeneous : models that ignore the inclusions
     indenter : a rigid one that is pushed in, or None
     """
 
@@ -149,7 +149,7 @@ class Scene:
         return read_only(thrust / nodal_sum(areas, triangles, n_nodes))
 
     def load(self, factor: float) -> SurfaceLoad:
-        """What acts at a load factor; the weight does not scale."""
+        """The load at a load factor; the weight does not scale."""
         return SurfaceLoad(
             factor * self.facet_pressure,
             factor * self.contact_pressure,
@@ -163,26 +163,26 @@ class Scene:
 
     @property
     def loads(self) -> list[SurfaceLoad]:
-        """What acts in each step of the load history."""
+        """The loads of all steps of the history."""
         return [self.load(float(factor)) for factor in self.load_factors]
 
     def factors_at(self, places: Array) -> Array:
-        """Load factors at places along the load history: 1 is its first step, 1.5 half the way from there on."""
+        """Load factors at places along the load history: 1 is its first step, 1.5 half way to the second."""
         factors = [0.0, *self.load_factors.tolist()]
         return np.interp(places, range(len(factors)), factors)
 
     def at(self, place: float) -> Scene:
-        """One step at a place along the load history; on the way to the first step the weight grows as well."""
+        """One step at a place along the load history; on the way to the first step the weight grows too."""
         factor = self.factors_at(np.array([place]))
         return replace(self, load_factors=factor, gravity=min(place, 1.0) * self.gravity)
 
     def raised(self, factor: float) -> Scene:
-        """One step in which all that acts is so many times what it is at load factor 1, the weight too."""
+        """One step with all loads, weight included, multiplied by `factor` from load factor 1."""
         return replace(self, load_factors=np.array([factor]), gravity=factor * self.gravity)
 
     @property
     def sags(self) -> bool:
-        """Whether a weight displaces it where nothing else acts: a scanned shape is where it has done so."""
+        """Whether weight alone displaces the body; it does not for a scanned shape, which includes the sag."""
         return bool(self.gravity.any()) and SCANNED not in self.extras
 
     @property
@@ -206,8 +206,7 @@ def build_scene(
 ) -> Scene:
     """Put a study's regions, constraints and loads on a mesh.
 
-    `masks` gives the regions' nodes and `inside` the inclusions' tetrahedra where the mesh is a refinement, with
-    those of the coarse mesh.
+    `masks` gives the regions' nodes and `inside` the inclusions' tetrahedra on a refinement, from the coarse mesh.
 
     Raises
     ------
@@ -225,7 +224,7 @@ def build_scene(
             raise SceneError(f"{told}; {body_extent(mesh)}", "regions", name)
         on = PlacedConstraint(constraint, place, regions[name], mesh, masks[name])
         acts = constraint.act(on)
-        if acts.pushed is not None and constraint.extra != "indenter":  # whose answers were added up
+        if acts.pushed is not None and constraint.extra != "indenter":  # answers would be superposed
             raise SceneError(
                 f'the kind {constraint.kind!r} has to have the property `extra`, "indenter"', *place
             )
@@ -259,7 +258,7 @@ def build_scene(
 
 
 def _held(acting: list[tuple[PlacedConstraint, Acts]], n_nodes: int) -> tuple[Mask, Mask, Array]:
-    """(N,) nodes at rest, (N,) nodes that are moved, and (N, 3) by how much [m]."""
+    """(N,) nodes at rest, (N,) nodes that are moved, and their (N, 3) displacement [m]."""
     fixed, constrained, prescribed = np.zeros(n_nodes, bool), np.zeros(n_nodes, bool), np.zeros((n_nodes, 3))
     for on, acts in acting:
         if acts.displacement is None:
@@ -280,10 +279,10 @@ def _held(acting: list[tuple[PlacedConstraint, Acts]], n_nodes: int) -> tuple[Ma
 def _check_apart(
     study: Study, masks: Mapping[str, Mask], fixed: Mask, constrained: Mask, triangles: Index
 ) -> None:
-    """Refuses what moves, loads or supports a part of the body that is held otherwise."""
+    """Refuse motion, load or support on nodes that another constraint holds."""
     for number, part in enumerate(study.constraints):
         mask = masks[part.region]
-        if part.holds:  # what another one holds at rest
+        if part.holds:  # nodes that another part holds at rest
             covered = int((mask & fixed).sum()) if part.loads else 0
             told = f"moves {covered} nodes that are fixed"
         elif part.supports:

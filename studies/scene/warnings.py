@@ -1,4 +1,4 @@
-"""What is doubtful about a scene, though it can be computed: each a judgement, none an error."""
+"""Doubts about a scene that can be computed: warnings, no errors."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ..study.errors import Finding, plural
 from ..study.loads import Constraint
 from ..study.schema import Tissue
 
-# shares of the body's smallest extent and of its volume: beyond them a small-strain reference judges nothing
+# shares of the body's smallest extent and volume: beyond these a small-strain reference is no judge
 MOST_MOVED, MOST_DRIFT = 0.10, 0.05
-FEW_NODES = 5  # of a contact, whose pressures so few cannot tell
-STIFF = 2e9  # Young's modulus of no soft tissue [Pa]: tendon has 1 to 2 GPa
-OPPOSED = 0.05  # share of a contact's area that may face against its resultant
+FEW_NODES = 5  # of a contact: too few to resolve its pressures
+STIFF = 2e9  # larger than Young's modulus of any soft tissue [Pa]: tendon has 1 to 2 GPa
+OPPOSED = 0.05  # largest share of a contact's area that faces against its resultant
 
 
 def scene_warnings(
@@ -40,7 +40,7 @@ def scene_warnings(
     masks : (N,) nodes of each region
     points, triangles : the surface, (N, 3) [m] and (F, 3)
     largest_factor : largest load factor
-    small_strain : whether the load is to be one that a reference of small strain judges, see `MOST_MOVED`
+    small_strain : whether a small-strain reference must be able to judge the load, see `MOST_MOVED`
     """
     vectors = facet_area_vectors(points, triangles)
     held = [masks[part.region] for part in constraints if part.holds]
@@ -78,9 +78,9 @@ def scene_warnings(
         areas, resultant = np.linalg.norm(pressed, axis=1), pressed.sum(axis=0)
         total, size = float(areas.sum()), float(np.linalg.norm(resultant))
         if not total or not size:
-            continue  # a smooth profile between nodes, or a scene that is refused
+            continue  # a smooth profile between nodes, or a scene that is refused later
         _, sides = np.unique(np.sort(half_edges(triangles[facets]), axis=1), axis=0, return_counts=True)
-        # as the wall of a cavity, under a pressure that is meant so
+        # the wall of a cavity, where such a pressure is intended
         all_round = part.profile == "uniform" and (sides == 2).all()
         if not all_round and areas[pressed @ resultant < 0].sum() > OPPOSED * total:
             yield (
@@ -106,9 +106,9 @@ def scene_warnings(
 
 
 def meshing_warnings(quality: Mapping[str, float], accepted: float) -> Iterator[Finding]:
-    """Of the mesh of a surface from a file: where its volume is another by more than the error that is accepted.
+    """Warn if meshing a file's surface changed its volume by more than the accepted error.
 
-    Reference and models have the same mesh, so that no error of theirs shows it.
+    Reference and models share the mesh, so that none of their errors shows it.
     """
     change = quality.get("volume_change", 0.0)
     if abs(change) > accepted:
@@ -119,9 +119,9 @@ def meshing_warnings(quality: Mapping[str, float], accepted: float) -> Iterator[
 
 
 def motion_share(displacement: Array, held: Mask, extent: float) -> float:
-    """The largest of (N, 3) displacements [m] over the body's smallest extent [m].
+    """The largest displacement of (N, 3) [m] over the body's smallest extent [m].
 
-    Of a body that its (N,) held nodes all carry the same way what is beyond that: so it does not deform.
+    If all held nodes (N,) have the same motion, it is subtracted: it does not deform the body.
     """
     carried = displacement[held]
     if held.any() and np.allclose(carried, carried[0], rtol=1e-9, atol=0.0):
@@ -139,7 +139,7 @@ def indentation(force: float, area: float, youngs_modulus: float, poisson_ratio:
 
 
 def _apart(support: Mask, triangles: Index) -> Mask:
-    """(N,) held nodes that no edges between held nodes join to a held facet."""
+    """(N,) held nodes without a path of edges between held nodes to a held facet."""
     edges = half_edges(triangles)
     piece = pieces(len(support), *edges[support[edges].all(axis=1)].T)
     held = triangles[support[triangles].all(axis=1)]

@@ -1,8 +1,9 @@
 """Results on disk: one VTKHDF file per case, complete or absent.
 
-A file gets its final name only after it is safely on disk. `results/FORMAT.md` describes all that is in it. A case
-is arrays on its nodes and a text for all else, which is the dataclass itself (`vdmbench.machine.plain`) and says
-where in the file the arrays are, as its end says where the text is: one reading gives a case, not one an array.
+A file gets its final name only after it is safely on disk. `results/FORMAT.md` describes its content. A case
+consists of arrays on its nodes and a text for all else. The text is the dataclass itself
+(`vdmbench.machine.plain`), with the positions of the arrays; the end of the file has the position of the text. A
+case is thus read in one go, not array by array.
 """
 
 from __future__ import annotations
@@ -41,11 +42,11 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 SCHEMA = 6
-MAX_BYTES = 2_000_000_000  # of the arrays of a case, which is read whole
-SEAL = b"\nvdmbench-sha256 "  # before the sum that ends a file
+MAX_BYTES = 2_000_000_000  # of the arrays of a case, which is read as a whole
+SEAL = b"\nvdmbench-sha256 "  # before the checksum at the end of a file
 SEAL_BYTES = len(SEAL) + 64 + 1
 ABOUT = "case/about"
-_PLACE = "\n{0.start:012d} {0.stop:012d}"  # of the text, before the seal
+_PLACE = "\n{0.start:012d} {0.stop:012d}"  # position of the text, before the seal
 _PLACE_BYTES = 26
 MOVED = "surface_distance"
 PART = "part_of_node"
@@ -53,10 +54,10 @@ _VTK_TRIANGLE = 5
 _DATA = "VTKHDF/PointData/"
 _POINTS, _CONNECTIVITY = "VTKHDF/Points", "VTKHDF/Connectivity"
 
-# what is not in the text: of a case, of a model what nodes have and what a run measures anew
+# not in the text: from a case its arrays, from a model its nodal arrays and the times that each run measures
 _NOT_TOLD = ("points", "triangles", "regions", "moved", "models", "metrics")
 _FIELDS = {"displacement": "m", "reaction_force": "N"}
-# what comes of a file whose parts do not fit each other
+# errors of reading a file with inconsistent parts
 _UNREADABLE = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError)
 
 
@@ -145,8 +146,8 @@ def read_case(
     Parameters
     ----------
     expected : its hash
-    frames : what frames of its models take, which is no part of the file
-    names : what a study calls the case, in place of what is in the file
+    frames : times of its models' frames, which are not in the file
+    names : label and swept values of the study, which replace those in the file
 
     Raises
     ------
@@ -178,7 +179,7 @@ def _content(path: Path) -> tuple[bytes, dict[str, Any]]:
     try:
         about = json.loads(content[slice(*map(int, content[-_PLACE_BYTES:].split()))])
         schema = int(about["schema"])
-    except _UNREADABLE:  # the text of an older file is elsewhere in it
+    except _UNREADABLE:  # an older file has its text at another place
         about, schema = {}, 0
     if schema > SCHEMA:
         raise StoreError(f"{path}: schema {schema} is newer than this program's {SCHEMA}; update vdmbench")
@@ -231,15 +232,15 @@ def _case(
 
 
 def read_run(directory: Path, *, damaged: bool = False) -> Run:
-    """Read a run directory: what was planned, what is done, what failed, what is missing.
+    """Read a run directory: the plan, and the finished, failed and missing cases.
 
-    Works on a directory copied from elsewhere. Cases of an earlier plan are left out. With `damaged` a case whose
-    file is damaged counts as failed, with what is wrong with the file as the reason.
+    It works on a copied directory. Cases of an earlier plan are left out. With `damaged`, a case with a damaged
+    file counts as failed, with the damage as the reason.
 
     Raises
     ------
     StoreError
-        not a run directory, or a damaged file in it, of a case only without `damaged`.
+        not a run directory, or a damaged file in it; with `damaged`, not for the file of a case.
     """
     plan = read_plan(directory)
     study, study_text = read_study(directory)
@@ -248,7 +249,7 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
     for planned in plan["cases"]:
         label = planned["label"] or plan["study"]["name"]
         path = case_path(directory, planned["hash"], planned["label"])
-        # the swept values and the label belong to the study, not to the case: another study may share it
+        # label and swept values belong to the study, not to the case: another study may share the case
         names = {key: planned[key] for key in ("label", "swept", "swept_units")}
         frames = times.get(planned.get("mesh", ""))
         if os.path.lexists(path):
@@ -267,7 +268,7 @@ def read_run(directory: Path, *, damaged: bool = False) -> Run:
 
 
 class _OnceAsked(Sequence[CaseResult]):
-    """The cases of a run directory, all done, read when the first is asked for."""
+    """The cases of a run directory, all finished, read at the first access."""
 
     def __init__(self, directory: Path, count: int) -> None:
         self._directory, self._count = directory, count
@@ -284,7 +285,7 @@ class _OnceAsked(Sequence[CaseResult]):
 
 
 def told_run(directory: Path) -> Run | None:
-    """A run directory that is as it was when its report was made, which cost no reading of cases; else None."""
+    """A run directory that has not changed since its report, without reading its cases; else None."""
     try:
         plan = read_plan(directory)
         told = read_told(directory, plan)
@@ -299,7 +300,7 @@ def told_run(directory: Path) -> Run | None:
 def case_state(directory: Path, case_hash: str, label: str = "") -> str:
     """ "done", "damaged", "failed" or "missing".
 
-    A file of an older version counts as missing: the next run writes it anew.
+    A file of an older version counts as missing: the next run writes it again.
     """
     path = case_path(directory, case_hash, label)
     if os.path.lexists(path):
@@ -314,7 +315,7 @@ def case_state(directory: Path, case_hash: str, label: str = "") -> str:
 
 
 def _definitions() -> dict[str, dict[str, Any]]:
-    """What every metric is, and by which rules bars are made."""
+    """Definitions of all metrics, and the version of the rules for bars."""
     told = ("unit", "definition", "version")
     found = {name: {key: getattr(metric, key) for key in told} for name, metric in METRICS.items()}
     return found | {"error bars": {"version": uncertainty.VERSION}}
@@ -329,7 +330,7 @@ def write_metrics(directory: Path, table: DataFrame) -> None:
 
 
 def metrics_csv(table: DataFrame) -> str:
-    """The metrics of a frame as CSV; beside a value at full load the reference's own error, where measured."""
+    """The metrics of a frame as CSV, with the reference's own error beside values at full load, if measured."""
     from pandas.api.types import is_numeric_dtype  # slow to load
 
     rows = table[~table["metric"].isin(list(COSTS))]
@@ -345,5 +346,5 @@ def metrics_csv(table: DataFrame) -> str:
 
 
 def no_formula(text: str) -> str:
-    """A text that a spreadsheet would run as a formula gets a quote in front."""
+    """Quote a text that a spreadsheet would run as a formula."""
     return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text

@@ -1,8 +1,8 @@
-"""Arrays on nodes as a file of HDF5, which ParaView reads. The only file that imports h5py.
+"""Nodal arrays as an HDF5 file that ParaView reads. Only this file imports h5py.
 
-The file is built in memory, because HDF5 crashes the process on a full disk, in h5py's low-level interface, which
-takes half of the time of the other. Arrays are in one piece, so that where each begins is all that a reader needs:
-the text that comes last says so.
+The file is built in memory, because HDF5 crashes the process on a full disk. h5py's low-level interface takes
+half of the time of the other one. Arrays are contiguous, so that a reader needs only their positions; the text at
+the end has these.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ALIGNED = 8  # bytes
 
 @dataclass(frozen=True)
 class Entry:
-    """What is at a path: an array, or a group where there are no values.
+    """The object at a path: an array, or a group if it has no values.
 
     Attributes
     ----------
@@ -37,14 +37,14 @@ class Entry:
 
 @dataclass(frozen=True)
 class Block:
-    """Where an array is in a file: its first byte, its type as NumPy writes it, its shape."""
+    """Position of an array in a file: first byte, NumPy type, shape."""
 
     offset: int
     dtype: str
     shape: tuple[int, ...]
 
     def of(self, data: bytes) -> NDArray[Any]:
-        """The array, which is part of `data` and cannot be changed. Raises ValueError where it does not fit."""
+        """The array as a read-only view of `data`. Raises ValueError if it does not fit."""
         count = int(np.prod(self.shape))
         if not count:
             return np.empty(self.shape, self.dtype)
@@ -54,13 +54,13 @@ class Block:
 def hdf5_image(
     entries: Sequence[Entry], path: str, text: Callable[[Mapping[str, Block]], str]
 ) -> tuple[bytes, slice]:
-    """The bytes of a file, groups before what is in them, and which of them are the text that is made at `path`.
+    """The bytes of a file, groups before their content, and the slice of the text at `path`.
 
-    It is made last, of where each array is.
+    `text` makes the text last, from the position of each array.
     """
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(1 << 16, False)
-    access.set_fclose_degree(h5f.CLOSE_STRONG)  # and with it whatever is open in it
+    access.set_fclose_degree(h5f.CLOSE_STRONG)  # closes all open objects in it too
     access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
     access.set_alignment(1, _ALIGNED)
     file = h5f.create(b"case.h5", h5f.ACC_TRUNC, fcpl=_timeless(h5p.FILE_CREATE), fapl=access)
@@ -81,7 +81,7 @@ def hdf5_image(
 
 
 def _timeless(kind: Any) -> Any:
-    """How an object of a file is made: the same numbers are the same bytes, whoever writes them when."""
+    """Creation properties without times: equal content gives equal bytes."""
     how = h5p.create(kind)
     how.set_obj_track_times(False)
     return how

@@ -1,4 +1,4 @@
-"""Plain data, as JSON has it, back to what a type says: the other way of `vdmbench.machine.plain`."""
+"""Reads plain JSON data back into typed values: the inverse of `vdmbench.machine.plain`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pydantic import BaseModel
 from ..study.schema import Study
 
 T = TypeVar("T")
-Place = tuple[str | int, ...]  # of a value, from the outside in
+Place = tuple[str | int, ...]  # path of a value, outermost key first
 Reader = Callable[[Any, Place], Any]
 
 
 class StoreError(ValueError):
-    """A stored result is damaged or of another schema; the message says which file and what to do."""
+    """A stored result is damaged or of another schema; the message names the file and the remedy."""
 
 
 class OlderSchemaError(StoreError):
@@ -29,7 +29,7 @@ class OlderSchemaError(StoreError):
 
 
 def typed(kind: type[T], value: Any, **given: Any) -> T:
-    """A value of a dataclass, or of whatever type its fields have: NaN where a number is null.
+    """A value of a dataclass, or of any type of its fields; null reads as NaN in numbers.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def typed(kind: type[T], value: Any, **given: Any) -> T:
     Raises
     ------
     ValueError
-        of another shape; one line says where.
+        wrong shape or type; one line names the place.
     """
     if dataclasses.is_dataclass(kind):
         return cast(T, _fields(kind, value, (), given))
@@ -59,8 +59,8 @@ def _fields(kind: type, value: Any, place: Place, given: dict[str, Any]) -> Any:
 
 @cache
 def _parts(kind: type) -> list[tuple[str, Reader, bool]]:
-    """Name, reader and need of each field of a dataclass."""
-    hints = typing.get_type_hints(kind, localns={"Study": Study})  # which others name without loading it
+    """Name, reader and whether it is required, for each field of a dataclass."""
+    hints = typing.get_type_hints(kind, localns={"Study": Study})  # others name Study without loading it
     return [
         (
             field.name,
@@ -86,10 +86,10 @@ def _reader(kind: Any) -> Reader:
         return lambda value, place: {
             key: read(entry, (*place, key)) for key, entry in _as_table(value, place).items()
         }
-    if origin is np.ndarray:  # in which a number that is null is NaN
+    if origin is np.ndarray:  # null reads as NaN
         number = typing.get_args(parts[1])[0]
         return lambda value, place: np.array(_as_list(value, place), dtype=number)
-    if origin in (Sequence, tuple):  # of one type, however many
+    if origin in (Sequence, tuple):  # any number of values of one type
         read, kept = _reader(parts[0]), tuple if origin is tuple else list
         return lambda value, place: kept(
             read(entry, (*place, k)) for k, entry in enumerate(_as_list(value, place))
@@ -129,7 +129,7 @@ def _as_list(value: Any, place: Place) -> Any:
 
 
 def _as(right: bool, wanted: str, place: Place, value: Any = None) -> Any:
-    """The value, where it is right. Raises ValueError."""
+    """The value, if it is right. Raises ValueError."""
     if not right:
         raise ValueError(f"{'.'.join(map(str, place))!r} is not {wanted}")
     return value

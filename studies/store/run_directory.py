@@ -1,4 +1,4 @@
-"""A run directory: whose it is, what was planned in it, what failed, and what its report says."""
+"""A run directory: its owner, plan, failures and reported results."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from .plain import StoreError, typed
 PLAN, STUDY, RESOLVED, TIMES = "plan.json", "study.toml", "resolved.toml", "times.json"
 REPORT, METRICS_FILE, TOLD = "report.html", "metrics.csv", "told.json"
 CASE_SUFFIX = ".vtkhdf"
-_SHORT, _READABLE = 12, 100  # characters of the hash, and of the label at most, in the name of a file
+_SHORT, _READABLE = 12, 100  # characters of the hash, and at most of the label, in a file name
 _FOLDERS = ("cases", "failed")
-_BEGUN = {STUDY, RESOLVED, *_FOLDERS}  # what a run that was killed leaves without a plan
+_BEGUN = {STUDY, RESOLVED, *_FOLDERS}  # content of a run that was killed before it had a plan
 
 
-# what files in JSON must hold; what they hold besides is kept as it is
+# required content of the JSON files; further content is kept
 
 
 @dataclass
@@ -70,19 +70,19 @@ class _Told:
 
 
 def _parsed(kind: type, path: Path) -> dict[str, Any]:
-    """What a JSON file holds. Raises OSError, and ValueError where it does not hold what it must."""
+    """Content of a JSON file. Raises OSError, and ValueError if required content is missing."""
     found: dict[str, Any] = json.loads(path.read_bytes())
     typed(kind, found)
     return found
 
 
 def case_path(directory: Path, case_hash: str, label: str = "") -> Path:
-    """Where a run directory keeps a finished case: the file of this hash, by whatever label it has its name."""
+    """Path of a finished case: an existing file of this hash, under any label."""
     return _named(directory / "cases", case_hash, label, CASE_SUFFIX)
 
 
 def failure_path(directory: Path, case_hash: str, label: str = "") -> Path:
-    """Where a run directory keeps the reason why a case failed."""
+    """Path of the reason why a case failed."""
     return _named(directory / "failed", case_hash, label, ".json")
 
 
@@ -97,19 +97,19 @@ def _named(folder: Path, case_hash: str, label: str, suffix: str) -> Path:
     return folder / next(there, named.name)
 
 
-# --- whose it is ---
+# --- owner ---
 
 
 def refuse_foreign(directory: Path) -> None:
-    """Let a run begin in a directory that is not there, is empty or holds a run already.
+    """Allow a run in a directory that is missing, is empty or holds a run.
 
     Raises
     ------
     InputError
-        it holds something else, which a run could replace.
+        it holds other files, which a run could replace.
     """
     if not directory.is_dir():
-        return  # making it says what is in its place
+        return  # creating it reports any obstacle
     names = {path.name for path in directory.iterdir()}
     rest = {name for name in names if not (name.startswith(".lock") or _is_half_written(name))}
     begun = ".lock" in names and rest <= _BEGUN
@@ -126,7 +126,7 @@ def _is_half_written(name: str) -> bool:
 def _holds_a_run(directory: Path) -> bool:
     try:
         read_plan(directory)
-    except StoreError:  # a damaged plan is made anew beside the cases that it was of
+    except StoreError:  # a damaged plan is replaced; its cases stay
         return any((directory / "cases").glob(f"*{CASE_SUFFIX}")) or any(
             (directory / "failed").glob("*.json")
         )
@@ -142,11 +142,11 @@ def write_plan(directory: Path, planned: Mapping[str, Any]) -> None:
 
 
 def read_plan(directory: Path) -> dict[str, Any]:
-    """What was planned in a run directory. Raises StoreError where it is none, or where the plan is damaged."""
+    """The plan of a run directory. Raises StoreError without one, and for a damaged one."""
     try:
         plan = _parsed(_Plan, directory / PLAN)
         for case in plan["cases"]:
-            safe_name(case["hash"])  # names a file
+            safe_name(case["hash"])  # part of a file name
         return plan
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
         raise StoreError(f"{directory}: not a run directory (it has no {PLAN})") from None
@@ -155,7 +155,7 @@ def read_plan(directory: Path) -> dict[str, Any]:
 
 
 def read_study(directory: Path) -> tuple[Study, str]:
-    """The study of a run, and the file that it was read from.
+    """The study of a run, and the text of its file.
 
     Raises
     ------
@@ -172,11 +172,11 @@ def read_study(directory: Path) -> tuple[Study, str]:
         raise StoreError(f"{directory}/{name}: not readable ({what}); run the study again") from error
 
 
-# --- what frames take ---
+# --- times of frames ---
 
 
 def add_times(directory: Path, found: Mapping[str, Mapping[str, FrameTimes]]) -> None:
-    """Keep what frames take, by mesh and model, beside what is known of other meshes. Raises OSError."""
+    """Store times of frames, by mesh and model, beside those of other meshes. Raises OSError."""
     known: dict[str, dict[str, FrameTimes]] = {}
     with suppress(StoreError):
         known = read_times(directory)
@@ -184,7 +184,7 @@ def add_times(directory: Path, found: Mapping[str, Mapping[str, FrameTimes]]) ->
 
 
 def read_times(directory: Path) -> dict[str, dict[str, FrameTimes]]:
-    """Mesh -> model -> what its frames take; nothing where it was not measured. Raises StoreError."""
+    """Mesh -> model -> times of its frames; empty if not measured. Raises StoreError."""
     path = directory / TIMES
     try:
         return typed(dict[str, dict[str, FrameTimes]], json.loads(path.read_bytes()))
@@ -194,16 +194,16 @@ def read_times(directory: Path) -> dict[str, dict[str, FrameTimes]]:
         raise StoreError(f"{path}: damaged ({error}); delete it and run again") from error
 
 
-# --- what was told ---
+# --- the summary of a run ---
 
 
 def keep_told(directory: Path, plan: Mapping[str, Any], told: Mapping[str, Any]) -> None:
-    """Keep what a run says, with a sum of what it is made of and the files that say it too. Raises OSError."""
+    """Store the summary of a run, with a checksum of its sources and of the written tables. Raises OSError."""
     write_atomically(directory / TOLD, json_text({"of": _made_of(directory, plan), "told": told}).encode())
 
 
 def read_told(directory: Path, plan: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What `keep_told` kept; None where a case, a failure, a time, a table or the report is another since."""
+    """The summary from `keep_told`; None if a case, a failure, a time, a table or the report has changed since."""
     try:
         kept = _parsed(_Told, directory / TOLD)
         return kept["told"] if kept["of"] == _made_of(directory, plan) else None
@@ -211,11 +211,11 @@ def read_told(directory: Path, plan: Mapping[str, Any]) -> dict[str, Any] | None
         return None
 
 
-_SUM_BYTES = 100  # at the end of a case file, its own sum among them
+_SUM_BYTES = 100  # at the end of a case file, including its checksum
 
 
 def _made_of(directory: Path, plan: Mapping[str, Any]) -> str:
-    """A sum of the plan, the sums of case files, failures, times, tables and report."""
+    """Checksum of the plan, the cases' checksums, failures, times, tables and report."""
     found = hashlib.sha256(json_text([version("vdmbench"), plan]).encode())
     for case in plan["cases"]:
         with suppress(OSError), case_path(directory, case["hash"], case["label"]).open("rb") as file:
@@ -233,7 +233,7 @@ def _made_of(directory: Path, plan: Mapping[str, Any]) -> str:
 
 
 def write_failure(path: Path, reason: Mapping[str, str], log: str) -> None:
-    """Keep the reason and the log of a failed case beside the results."""
+    """Store the reason and the log of a failed case beside the results."""
     write_atomically(path, json_text(reason, indent=1).encode())
     write_atomically(path.with_suffix(".log"), log.encode("utf-8", "replace"))
 
@@ -248,5 +248,5 @@ def read_failure(directory: Path, case_hash: str, label: str) -> dict[str, str]:
 
 
 def has_failed(directory: Path, case_hash: str, label: str = "") -> bool:
-    """Whether a run directory says why a case failed."""
+    """Whether a run directory has the reason of a case's failure."""
     return os.path.lexists(failure_path(directory, case_hash, label))

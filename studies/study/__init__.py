@@ -1,3 +1,3 @@
-"""What is asked. In: a study file. Out: `Study` and its cases, in SI units, or every mistake with its line; which
-models there are, by the names that a study writes.
+"""The study. In: a study file. Out: `Study` and its cases, in SI units, or every mistake with its line; and the
+registry of models, by the names that a study uses.
 """

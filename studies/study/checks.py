@@ -1,4 +1,4 @@
-"""What must hold between the keys of a study, beyond each key by itself: findings on a study of sound keys."""
+"""Checks between the keys of a study, beyond each key by itself: findings on a study with valid keys."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from .units import shown
 
 
 def check(study: Study) -> Iterator[Finding]:
-    """Everything that is wrong with a study whose keys are right by themselves."""
+    """All mistakes of a study whose single keys are valid."""
     yield from _check_models(study)
     yield from _check_law(study)
     of_body = list(_check_geometry(study.geometry))
@@ -76,13 +76,13 @@ def _check_models(study: Study) -> Iterator[Finding]:
     for name in study.models:
         if name not in info.models:
             yield ("models", name), unknown(name, info.models, "model of this study")
-    if set(info.models) <= set(known):  # of a wrong name nobody knows what it was to read
+    if set(info.models) <= set(known):  # the keys of an unknown model are unknown
         yield from refusals(study, info.reference) if info.reference in info.models else ()
         yield from _check_read(study)
 
 
 def refusals(study: Study, name: str) -> Iterator[Finding]:
-    """Why a model of a study has no answer to it, told beside the model's name, and the key that has it so."""
+    """Reasons why a model cannot answer a study, at the model's name and at the key that causes it."""
     model, _ = find(name)
     if model.volumetric and not any(part.holds or part.supports for part in study.constraints):
         yield ("study", "models"), f"{name}: nothing is held; hold a region, by kind fixed or constrained"
@@ -94,7 +94,7 @@ def refusals(study: Study, name: str) -> Iterator[Finding]:
 
 
 def _check_read(study: Study) -> Iterator[Finding]:
-    """Parameters that decide nothing."""
+    """Parameters that no model reads."""
     names = study.study.models
     tables: list[tuple[Loc, Table, Sequence[str]]] = [(("vdm",), study.vdm, names)]
     tables += [(("models", name), table, [name]) for name, table in study.models.items() if name in names]
@@ -156,7 +156,7 @@ def _check_geometry(geometry: Geometry) -> Iterator[Finding]:
 
 
 def _sizes(geometry: Geometry) -> tuple[float, ...]:
-    """The extents of a body as far as the keys tell them [m]."""
+    """The extents of a body that its keys determine [m]."""
     if isinstance(geometry, Shape):
         return geometry.extents()
     return (geometry.size,) if geometry.size is not None else ()
@@ -181,7 +181,7 @@ def _check_constraints(study: Study) -> Iterator[Finding]:
 
 
 def _check_loads(study: Study, extent: float | None) -> Iterator[Finding]:
-    """Loads that no body of this stiffness and size [m] can mean: a unit has been mixed up."""
+    """Loads that are implausible for a body of this stiffness and size [m]: probably a wrong unit."""
     modulus, gravity = 10 * study.tissue.youngs_modulus, study.gravity
     most = {"Pa": (modulus, "ten times Young's modulus")}
     if extent is not None:
@@ -214,7 +214,7 @@ def _loads(study: Study) -> Iterator[tuple[Loc, tuple[float, ...], str]]:
 
 
 def only_load(study: Study) -> tuple[str, float, str] | None:
-    """Key, value [SI] and unit of the one number that loads a study; None where several do, or none."""
+    """Key, value [SI] and unit of the only number that loads a study; None if there are several or none."""
     found = [(loc, value, unit) for loc, values, unit in _loads(study) for value in values if value]
     if len(found) != 1:
         return None
@@ -242,7 +242,7 @@ def _check_regions(study: Study) -> Iterator[Finding]:
 
 
 def _check_places(part: Region | Inclusion, loc: Loc, geometry: Geometry) -> Iterator[Finding]:
-    """What is wrong with where a region or an inclusion is."""
+    """Mistakes in the places of a region or an inclusion."""
     keys = [key for key in type(part).model_fields if key in Region.model_fields]
     if part.model_fields_set.isdisjoint(keys):
         yield loc, f"selects nothing; give {', '.join(keys)}, or several, all of which are to hold"
@@ -258,7 +258,7 @@ def _check_places(part: Region | Inclusion, loc: Loc, geometry: Geometry) -> Ite
 
 
 def _check_inclusions(study: Study) -> Iterator[Finding]:
-    """What is wrong with the inclusions, and with the models that may leave them out."""
+    """Mistakes in the inclusions, and in the models that may ignore them."""
     inclusions, info = study.inclusions or (), study.study
     yield from named_twice("inclusions", inclusions, "inclusion")
     for place, part in enumerate(inclusions):
@@ -280,7 +280,7 @@ def _check_inclusions(study: Study) -> Iterator[Finding]:
 
 
 def _check_measured(study: Study) -> Iterator[Finding]:
-    """What is wrong with the measured tables, each with the rest of the study."""
+    """Mistakes in the measured tables, each with the rest of the study."""
     yield from named_twice("measured", study.measured or (), "table")
     for place, table in enumerate(study.measured or ()):
         loc = ("measured", place)
@@ -292,7 +292,7 @@ def _check_measured(study: Study) -> Iterator[Finding]:
 
 
 def pushing(study: Study) -> list[str]:
-    """Names of the constraints whose force goes with a depth: contacts, indenters, and movements of a region."""
+    """Names of the constraints with a curve of force against depth: contacts, indenters and moved regions."""
     return [
         part.name
         for part in study.constraints
@@ -343,13 +343,13 @@ def _check_factors(study: Study, table: Measured, place: int) -> Iterator[Findin
             return
 
 
-# --- One pass over the data of a study: a Study, or every problem that it has, in plain words ---
+# --- one pass over the data of a study: a Study, or every problem in plain words ---
 
 
 def validate(data: Mapping[str, Any], source: Source) -> tuple[Study | None, list[Finding]]:
-    """The study in `data`, as parsed from TOML, or None and what is wrong: its keys, or what they say together.
+    """The study in `data`, as parsed from TOML, or None and its mistakes, in single keys or between them.
 
-    One more problem than can be told is enough: some take a search for the name that was meant.
+    The search stops after one problem more than are reported: some take a search for the intended name.
     """
     try:
         study = Study.model_validate(data, context=source)

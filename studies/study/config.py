@@ -1,6 +1,6 @@
 """Study file -> typed objects; every problem at once, each with its line.
 
-A sweep's later values are judged once the rest is sound.
+Later values of a sweep are checked once the rest is valid.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .sweep import (
 from .toml_lines import TooLarge, key_lines, statements
 from .units import shown
 
-__all__ = ["ResolvedCase", "Study", "StudyError"]  # and what is defined here
+__all__ = ["ResolvedCase", "Study", "StudyError"]  # beside the definitions here
 
 MAX_BYTES = 1_000_000  # of a study file
 
@@ -50,10 +50,10 @@ def load_study(
 
     Parameters
     ----------
-    path : the study file, TOML in UTF-8 (a byte order mark is passed over)
-    surface : a mesh file to use as the geometry, wherever it lies; `mesh_size` and the largest extent `size` of
-        the study are kept, its name is followed by the file's
-    changes : nested tables of what to change in it, one after the other (`files.merged`)
+    path : the study file, TOML in UTF-8 (a byte order mark is ignored)
+    surface : a mesh file to use as the geometry; `mesh_size` and the largest extent `size` of the study are kept,
+        and its name gets that of the file as a suffix
+    changes : nested tables of changes to the study, in order (`files.merged`)
 
     Raises
     ------
@@ -84,7 +84,7 @@ def load_study(
 def _changed_in_vain(
     axes: Sequence[Axis], changes: Sequence[Mapping[str, Any]], data: Mapping[str, Any]
 ) -> Iterator[Finding]:
-    """Changes of a key that each case of the sweep gives a value of its own."""
+    """Changes of a key that every case of the sweep replaces."""
     paths = {".".join(path) for change in changes for path, _ in changed(change)}
     for axis in axes:
         if axis.key in paths and data["sweep"].get("mode") != STAR:
@@ -93,7 +93,7 @@ def _changed_in_vain(
 
 
 def expand(study: Study) -> list[ResolvedCase]:
-    """The cases of a study's sweep, in order; one where nothing is swept.
+    """The cases of a study's sweep, in order; one case without a sweep.
 
     Raises
     ------
@@ -114,9 +114,9 @@ def expand(study: Study) -> list[ResolvedCase]:
 
 
 def resolved(study: Study) -> dict[str, Any]:
-    """Everything that a study says, as plain JSON, but for its sweep in SI units.
+    """The whole study as plain JSON, in SI units except for its sweep.
 
-    `Study.model_validate` takes it back. Paths are absolute.
+    `Study.model_validate` reads it back. Paths are absolute.
     """
     data = study.model_dump(mode="json")
     if "inputs" in data:
@@ -125,7 +125,7 @@ def resolved(study: Study) -> dict[str, Any]:
 
 
 def geometry_error(study: Study, error: MeshError) -> StudyError:
-    """The error of a study whose geometry turned out to be unusable, with the place in its file."""
+    """The error of a study with an unusable geometry, at its place in the file."""
     data = study.model_dump()
     place = error.place or ("path" if study.geometry.shape == "file" else "shape",)
     loc = told_at(read_axes(data)[0], data, ("geometry", *place))
@@ -133,9 +133,9 @@ def geometry_error(study: Study, error: MeshError) -> StudyError:
 
 
 def case_inputs(study: Study) -> dict[str, Any]:
-    """The part of `resolved` that decides a case's numbers: all but what the schema marks `Enters.NOTHING`.
+    """The part of `resolved` that decides a case's numbers: all except fields marked `Enters.NOTHING`.
 
-    A geometry file is named by its path: the key of its mesh has its content (`shapes.geometry_key`).
+    A geometry file appears by its path; the key of its mesh covers its content (`shapes.geometry_key`).
     """
     return study.without(resolved(study), Enters.NOTHING)
 
@@ -144,7 +144,7 @@ def case_inputs(study: Study) -> dict[str, Any]:
 
 
 def _parsed(path: Path) -> tuple[dict[str, Any], Source]:
-    """What a study file says, and where each key stands. Raises StudyError."""
+    """Data of a study file, and the source with the lines of its keys. Raises StudyError."""
 
     def wrong(message: str, line: int = 1) -> StudyError:
         return StudyError([Problem(str(path), line, "", message)])
@@ -179,7 +179,7 @@ def _parsed(path: Path) -> tuple[dict[str, Any], Source]:
 
 
 def _with_surface(data: Mapping[str, Any], surface: Path) -> dict[str, Any]:
-    """The data of a study with a file as its body: another study, with a run directory and baseline of its own."""
+    """The data of a study with a file as its body: a separate study, with its own run directory and baseline."""
     geometry, study = data.get("geometry"), data.get("study")
     kept: dict[str, Any] = {"shape": "file", "path": str(surface.absolute())}
     if isinstance(geometry, dict):
@@ -187,7 +187,7 @@ def _with_surface(data: Mapping[str, Any], surface: Path) -> dict[str, Any]:
         if isinstance(kept.get("size"), list):
             del kept["size"]
     if isinstance(study, dict) and is_safe_name(name := study.get("name")):
-        # scans differ in how they end
+        # names of scans differ at their ends
         file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)[-MAX_NAME // 2 :]
         study = study | {"name": f"{name[: MAX_NAME - len(file) - 1]}-{file}"}
     return {**data, "geometry": kept} | ({"study": study} if study is not None else {})

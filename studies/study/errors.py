@@ -1,4 +1,4 @@
-"""Errors that a user can mend: one sentence each."""
+"""Errors that a user can correct: one sentence each."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from .units import shown
 
 
 class InputError(ValueError):
-    """What the user gave cannot be used; the message says what is wrong and what to do.
+    """Unusable input; the message says what is wrong and what to do.
 
-    `place` leads to it, in a study or in the part of it that was read; () where that is not known.
+    `place` is its path in a study, or in the part of it that was read; () if unknown.
     """
 
     def __init__(self, text: str, *place: str | int) -> None:
@@ -25,10 +25,10 @@ class InputError(ValueError):
 
 
 class MeshError(InputError):
-    """A geometry that cannot be used; its place is the key of [geometry] that has to change."""
+    """An unusable geometry; its place is the key of [geometry] that has to change."""
 
 
-# --- What the machine lacks ---
+# --- missing packages and libraries ---
 
 
 # Debian's packages of the shared libraries that the gmsh and VTK wheels load from the system
@@ -38,7 +38,7 @@ _NO_LIBRARY = re.compile(r"lib\S+\.so\S*: cannot open shared object file")
 
 
 def install_line(error: BaseException) -> str:
-    """The line that installs the package or the shared library that an import lacks; "" of any other error."""
+    """The command that installs the package or library that an import lacks; "" for any other error."""
     if isinstance(error, ModuleNotFoundError) and error.name:
         name = error.name.partition(".")[0]
         return f"pip install --constraint constraints.txt {_DISTRIBUTIONS.get(name, name)}"
@@ -47,20 +47,20 @@ def install_line(error: BaseException) -> str:
     return ""
 
 
-# --- What is wrong with a study file, and where: the error that carries every problem, and the file behind it ---
+# --- mistakes in a study file and their places: the error with every problem, and the file ---
 
 
 Loc = tuple[str | int, ...]  # indices that lead to a value of the parsed file
 Finding = tuple[Loc, str]
 
-MOST_TOLD = 20  # problems of a file; what finds them need not find more
+MOST_TOLD = 20  # problems reported for a file; checks stop after that
 
-_LONGEST_KEY = 200  # characters that are told
+_LONGEST_KEY = 200  # characters shown
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 class Problem(NamedTuple):
-    """One mistake: file, 1-based line, key as one would write it (empty for the file itself), sentence."""
+    """One mistake: file, 1-based line, key as written in the file (empty for the file itself), sentence."""
 
     path: str
     line: int
@@ -73,7 +73,7 @@ class Problem(NamedTuple):
 
 
 class StudyError(ValueError):
-    """A study file that cannot be used; `problems` holds every mistake found."""
+    """An unusable study file; `problems` holds every mistake found."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = list(problems)
@@ -82,7 +82,7 @@ class StudyError(ValueError):
 
 @dataclass(frozen=True)
 class Source:
-    """Where a study comes from. Two studies with the same content are equal whatever their source."""
+    """The file of a study. Two studies with equal content are equal, whatever their source."""
 
     path: str = field(default="study", compare=False)
     lines: Mapping[Loc, int] = field(default_factory=dict, compare=False)
@@ -90,7 +90,7 @@ class Source:
     directory: Path | None = field(default=None, compare=False)
 
     def line(self, loc: Loc) -> int:
-        """The line of a key, or of the innermost table around it that the file has."""
+        """The line of a key, or of the innermost table around it that is in the file."""
         for end in range(len(loc), 0, -1):
             if loc[:end] in self.lines:
                 return self.lines[loc[:end]]
@@ -105,7 +105,7 @@ class Source:
         return (self.directory / path).resolve()
 
     def error(self, findings: Sequence[Finding], data: Mapping[str, Any]) -> StudyError:
-        """The error for these findings about `data`, in the file's order, each once, the first `MOST_TOLD`."""
+        """The error for these findings about `data`, without repeats, in the file's order; at most `MOST_TOLD`."""
         unique = sorted(dict.fromkeys(findings), key=lambda finding: self.line(finding[0]))
         told, more = unique[:MOST_TOLD], unique[MOST_TOLD:]
         problems = [Problem(self.path, self.line(loc), key_text(loc, data), text) for loc, text in told]
@@ -116,7 +116,7 @@ class Source:
 
 
 def file_fault(path: Path) -> str | None:
-    """Why a path does not lead to a file, None where it does."""
+    """Why a path is no readable file; None if it is."""
     try:
         mode = path.stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -129,7 +129,7 @@ def file_fault(path: Path) -> str | None:
 
 
 def key_text(loc: Loc, data: Mapping[str, Any]) -> str:
-    """A key as one would write it: constraints by their name, other items of lists by their index."""
+    """A key as in a file: constraints by their name, other items of lists by their index."""
     text = ""
     value: Any = data
     for part in loc:
@@ -144,7 +144,7 @@ def key_text(loc: Loc, data: Mapping[str, Any]) -> str:
 
 
 def entry_name(entry: Any) -> str | None:
-    """What an entry of an array of tables is called: its name, or that of its region; None where it has none."""
+    """The name of an entry of an array of tables, or of its region; None if it has none."""
     name = entry.get("name", entry.get("region")) if isinstance(entry, dict) else None
     return name if isinstance(name, str) else None
 
@@ -159,7 +159,7 @@ def value_at(data: Any, loc: Loc) -> Any:
     return data
 
 
-# --- Words that several checks of a study share ---
+# --- sentences that several checks share ---
 
 
 def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = True) -> str:

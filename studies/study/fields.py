@@ -1,6 +1,6 @@
 """All keys of a study file as one JSON schema, made by pydantic from the tables that validate it.
 
-From it the reference of all keys is made; an editor takes it as it is.
+The reference of all keys is made from it; editors can use it directly.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from .schema import (
 
 Node = dict[str, Any]  # of the schema
 
-# what the keys of these tables besides their own are: a table inside, its type and help
+# further keys of these tables: the table inside, its type and help
 _ENTRIES: dict[Any, tuple[type[Table], str, str]] = {
     Sweep: (
         Range,

@@ -21,12 +21,12 @@ def shipped_studies() -> dict[str, Path]:
 
 
 def study_path(study: str | Path) -> Path:
-    """The file of a study: a path, or the name of a shipped one.
+    """The file of a study: a path, or a shipped one by its name.
 
     Raises
     ------
     InputError
-        neither of them; the message has the names that are near.
+        neither of them; the message has similar names.
     """
     path, known = Path(study), shipped_studies()
     if path.exists():
@@ -59,12 +59,12 @@ def changes_of(text: str) -> dict[str, Any]:
 
 
 def changed(changes: Mapping[str, Any], *before: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """The paths of keys that nested tables of changes give a value or an empty table, and these.
+    """Paths and values of the keys that nested tables of changes set; empty tables count as values.
 
     Raises
     ------
     InputError
-        a key that is no text.
+        a key that is not text.
     """
     for key, value in changes.items():
         if not isinstance(key, str):
@@ -76,19 +76,19 @@ def changed(changes: Mapping[str, Any], *before: str) -> Iterator[tuple[tuple[st
 
 
 def located(data: Any, path: Sequence[str], of_value: Collection[str] = ()) -> Loc:
-    """Where a path of keys leads in the data of a study; what is not there yet is under the path's own words.
+    """The place of a path of keys in the data of a study; missing keys keep the path's own names.
 
-    An entry of an array of tables goes by its name or its region, a component of a vector by its index. Names that
-    are there may have dots, at each of which the path may be split.
+    An entry of an array of tables goes by its name or its region, a component of a vector by its index. Existing
+    names may contain dots; the path may be split at each.
 
     Parameters
     ----------
-    of_value : keys that what follows a single value may have been meant as
+    of_value : keys to suggest in the error for a key inside a single value
 
     Raises
     ------
     InputError
-        an entry that is not there; a key of a value that is no table.
+        a missing entry; a key inside a value that is no table.
     """
     loc: Loc = ()
     while path:
@@ -110,7 +110,7 @@ def located(data: Any, path: Sequence[str], of_value: Collection[str] = ()) -> L
 
 
 def substituted(data: Any, loc: Loc, value: Any) -> Any:
-    """A copy of `data` with `value` at a place; tables on the way that are missing are made. None drops a key."""
+    """A copy of `data` with `value` at a place; missing tables on the way are made. None drops a key."""
     if not loc:
         return value
     first, rest = loc[0], loc[1:]
@@ -123,7 +123,7 @@ def substituted(data: Any, loc: Loc, value: Any) -> Any:
 def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """The data of a study with nested tables of changes, key by key (`located`). Raises InputError.
 
-    An empty table makes one that is not there.
+    An empty table creates a missing one.
     """
     new = dict(data)
     for path, value in changed(changes):
@@ -135,7 +135,7 @@ def merged(data: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
     return new
 
 
-# --- Studies as results keep them: files and directories by their names, for folders may name a patient ---
+# --- studies as results store them: files by name only, because folders may name a patient ---
 
 
 # a quoted absolute path to a mesh, on any system
@@ -146,7 +146,7 @@ _ABSOLUTE = re.compile(
 
 
 def without_folders(value: Any) -> Any:
-    """Plain data with the name alone of each file that has an absolute path."""
+    """Plain data in which files with an absolute path keep only their name."""
     if isinstance(value, Mapping):
         return {key: without_folders(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -155,5 +155,5 @@ def without_folders(value: Any) -> Any:
 
 
 def text_without_folders(text: str) -> str:
-    """The text of a study file with the name alone of each mesh file that has an absolute path."""
+    """The text of a study file in which mesh files with an absolute path keep only their name."""
     return _ABSOLUTE.sub(r"\1\2\1", text)

@@ -1,4 +1,4 @@
-"""The kinds of values that a study file holds: quantities with their unit, names, directions, ranges of numbers."""
+"""The kinds of values in a study file: quantities with units, names, directions, ranges of numbers."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ not_negative = number_check(lambda v: v >= 0, "must be positive or zero")
 
 
 def within(low: float, high: float, unit: str = "") -> AfterValidator:
-    """Bounds of a number; of a quantity in SI `unit`, outside of which a unit is likelier to be mixed up."""
+    """Bounds of a number; for a quantity in SI `unit`, a value outside probably has a wrong unit."""
     mixed = (
         f' {unit} (a mixed-up unit? a bare number is in {unit}: write "{DIMENSIONS[unit][1]}")'
         if unit
@@ -109,7 +109,7 @@ def within(low: float, high: float, unit: str = "") -> AfterValidator:
 
 
 def is_safe_name(value: Any) -> TypeGuard[str]:
-    """Whether a value is a name that `safe_name` lets pass."""
+    """Whether `safe_name` accepts a value."""
     return isinstance(value, str) and _NAME.fullmatch(value) is not None
 
 
@@ -136,7 +136,7 @@ def nonzero(value: Vector3) -> Vector3:
 
 
 def _as_share(value: Any) -> Any:
-    """A text such as "5 %" as the number that it is; a plain number stays."""
+    """A text such as "5 %" as its number; a plain number stays."""
     if not isinstance(value, str):
         return value
     match = _PERCENT.fullmatch(value)
@@ -172,36 +172,36 @@ Axis = Literal["x", "y", "z"]
 Rotation = Literal["none", "global"]
 
 
-# --- What all tables of a study file share ---
+# --- shared by all tables of a study file ---
 
 
 def Key(told: str, default: Any = PydanticUndefined, **checks: Any) -> Any:
-    """A key of a table: its help, its default where it may be left out, and what else `pydantic.Field` takes."""
+    """A key of a table: its help, its default if it is optional, and further arguments of `pydantic.Field`."""
     return Field(default, description=told, **checks)
 
 
 class Enters(Enum):
-    """Which keys a field of the study, or of one of its tables, enters; unmarked: of answers and case."""
+    """The content keys that a field of the study or its tables enters; unmarked fields enter answers and case."""
 
-    NOTHING = "presentation"  # names, words, limits of acceptance: no number hangs on them
+    NOTHING = "presentation"  # names, words, limits of acceptance: they decide no number
     MESH = "mesh"  # the geometry's own key (`shapes.geometry_key`)
-    CASE = "case"  # what is made of answers, and not the answers
-    ANSWERS = "answers"  # of answers and case, in a table whose fields are marked otherwise
+    CASE = "case"  # evaluations of answers, not the answers themselves
+    ANSWERS = "answers"  # answers and case, in a table with other marks
 
     @classmethod
     def of(cls, field: FieldInfo) -> Enters | None:
-        """What a field is marked with; None of one that enters every key."""
+        """The mark of a field; None if it enters every key."""
         return next((mark for mark in field.metadata if isinstance(mark, cls)), None)
 
 
 def as_path(value: Any, info: ValidationInfo) -> Path:
-    """The file that a study names, located from the `Source` that is the context. Raises ValueError."""
+    """The file that a study names, located by the `Source` in the context. Raises ValueError."""
     if not isinstance(value, str | Path):
         raise ValueError(f"must be a file's path, not {type_name(value)}")
     return info.context.locate(value) if isinstance(info.context, Source) else Path(value)
 
 
-_FOLLOWS = "default_factory_not_called"  # a default from a key that is wrong itself, which is told
+_FOLLOWS = "default_factory_not_called"  # a default that depends on another invalid key, reported there
 _WANTED = {  # kind of pydantic error -> what the value must be
     "model_type": "a table",
     "dict_type": "a table",
@@ -226,10 +226,10 @@ class Table(BaseModel):
         hide_input_in_errors=True,
         defer_build=True,
     )
-    enters: ClassVar[Enters | None] = None  # of the fields that have no mark of their own
+    enters: ClassVar[Enters | None] = None  # mark of the fields without their own
 
     def model_dump(self, **options: Any) -> dict[str, Any]:
-        """As plain data with the keys of a file, which has no null."""
+        """Plain data with the keys of a file, without nulls."""
         return super().model_dump(**{"exclude_none": True, **options})
 
     def model_dump_json(self, **options: Any) -> str:
@@ -243,17 +243,17 @@ class Table(BaseModel):
             return cls.of(data, handler, info)
         except ValidationError as error:
             found = [fault for fault in error.errors(include_url=False) if fault["type"] != _FOLLOWS]
-            faults = [cls._fault(details) for details in found[: MOST_TOLD + 1]]  # some take a search
+            faults = [cls._fault(details) for details in found[: MOST_TOLD + 1]]  # some faults take a search
             raise ValidationError.from_exception_data(cls.__name__, faults) from None
 
     @classmethod
     def of(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:  # noqa: ARG003
-        """The table of some data. Raises ValidationError."""
+        """The table of given data. Raises ValidationError."""
         return handler(data)
 
     @classmethod
     def missing_key(cls, key: str) -> str:
-        """What is said of a key that is not there."""
+        """The message for a missing key."""
         return f"is missing: {cls.model_fields[key].description}"
 
     @classmethod
@@ -265,7 +265,7 @@ class Table(BaseModel):
     @classmethod
     def _sentence(cls, loc: Loc, details: ErrorDetails) -> str:
         kind, value = details["type"], details.get("input")
-        if kind == "told":  # by a table inside
+        if kind == "told":  # reported by an inner table
             return details["msg"]
         if kind == "value_error":
             return str(details["ctx"]["error"])
@@ -284,7 +284,7 @@ class Table(BaseModel):
 
     @classmethod
     def unit(cls, key: str) -> str:
-        """SI unit of a key, "1" of one without a dimension; "" of one that is no quantity."""
+        """SI unit of a key: "1" for one without a dimension, "" for one that is no quantity."""
         field = cls.model_fields[key]
         inside = [
             mark for option in get_args(field.annotation) for mark in getattr(option, "__metadata__", ())
@@ -292,7 +292,7 @@ class Table(BaseModel):
         return next((mark.unit for mark in (*field.metadata, *inside) if isinstance(mark, SI)), "")
 
     def without(self, data: dict[str, Any], *marks: Enters) -> dict[str, Any]:
-        """Of this table's `data` what does not bear one of these marks, two levels deep; unknown keys stay."""
+        """This table's `data` without fields that have one of these marks, two levels deep; unknown keys stay."""
         kept: dict[str, Any] = {}
         for key, value in data.items():
             field = type(self).model_fields.get(key)
@@ -319,7 +319,7 @@ class OneOf(Table):
 
     @classmethod
     def of(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
-        """The table of the kind that some data says. Raises ValidationError."""
+        """The table of the kind that the data name. Raises ValidationError."""
         if cls in cls.kinds.values() or not isinstance(data, dict):
             return super().of(data, handler, info)
         word = data.get(cls.by)
@@ -336,7 +336,7 @@ class OneOf(Table):
 
     @classmethod
     def missing_key(cls, key: str) -> str:
-        """What is said of a key that is not there: of the kind, which there are."""
+        """The message for a missing key; for the kind, with all kinds."""
         one_of = f", one of {', '.join(cls.kinds)}" if key == cls.by else ""
         return super().missing_key(key) + one_of
 

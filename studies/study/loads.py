@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 
 
 VERSION = (
-    "4"  # raised whenever a constraint, a profile or a scanned shape changes its numbers; part of all keys
+    "4"  # part of all keys; raised whenever a constraint, a profile or a scanned shape changes its numbers
 )
 PROFILES: dict[str, Callable[[Array], Array]] = {}
 
 
 def profile(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Register pressure over its peak at rho, 0 in the middle and 1 at the rim, beyond which it is nothing."""
+    """Register pressure over its peak at rho, 0 in the middle and 1 at the rim; zero beyond."""
     PROFILES[function.__name__] = function
     return function
 
@@ -50,7 +50,7 @@ def profile(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
 
 @profile
 def hertz(rho: Array) -> Array:
-    """Pressure over its peak: sqrt(1 - rho^2), nothing beyond the rim rho = 1."""
+    """Pressure over its peak: sqrt(1 - rho^2), zero beyond the rim rho = 1."""
     import numpy as np
 
     return np.asarray(np.sqrt(np.clip(1.0 - rho**2, 0.0, None)))
@@ -58,7 +58,7 @@ def hertz(rho: Array) -> Array:
 
 @profile
 def gaussian(rho: Array) -> Array:
-    """Pressure over its peak: exp(-9/2 rho^2), the third standard deviation at the rim rho = 1, nothing beyond."""
+    """Pressure over its peak: exp(-9/2 rho^2), the third standard deviation at the rim rho = 1, zero beyond."""
     import numpy as np
 
     return np.where(rho < 1.0, np.exp(-4.5 * rho**2), 0.0)
@@ -72,7 +72,7 @@ else:
     Profile = Literal[("uniform", *PROFILES)]
 
 
-# --- What they do on a mesh ---
+# --- effects on a mesh ---
 
 
 Placed = (
@@ -98,11 +98,11 @@ class Springs:
 
 @dataclass(frozen=True)
 class Acts:
-    """What a constraint does at load factor 1: one or several of these, or nothing.
+    """The effect of a constraint at load factor 1: one or several of these, or none.
 
     Attributes
     ----------
-    displacement : (N, 3) or (3,) of the nodes of its region, where it moves them [m]
+    displacement : (N, 3) or (3,) displacement of the nodes of its region, if it moves them [m]
     pressure : (F, Q) into the body [Pa]
     dead : (k, 2) edges or (k, 3) facets, and (3,) the force that is spread evenly over them [N]
     springs : under some of its facets
@@ -117,7 +117,7 @@ class Acts:
 
     @property
     def extras(self) -> set[str]:
-        """Of `vdmbench.study.registry.EXTRAS` those that it is: a model that does not take one would ignore it."""
+        """The entries of `vdmbench.study.registry.EXTRAS` that it contains: other models would ignore it."""
         found = {"dead forces": self.dead, "indenter": self.pushed}
         springs = {f"{self.springs.direction} springs"} if self.springs is not None else set()
         return {name for name, part in found.items() if part is not None} | springs
@@ -151,15 +151,15 @@ class Constraint(OneOf):
 
     @property
     def extra(self) -> str:
-        """Which of `vdmbench.study.registry.EXTRAS` a model takes that takes it; "" where every model does."""
+        """The entry of `vdmbench.study.registry.EXTRAS` that a model must take; "" if every model can."""
         return ""
 
     def act(self, on: Placed) -> Acts:
-        """What it does on a mesh. Raises SceneError."""
+        """The effect on a mesh. Raises SceneError."""
         raise NotImplementedError(f"{self.kind}: a constraint acts")
 
     def faults(self, region: frozenset[str]) -> Iterator[tuple[Loc, str]]:  # noqa: ARG002
-        """(place inside, what is wrong there); `region` has the keys of its region."""
+        """(place inside, mistake there); `region` has the keys of its region."""
         yield from ()
 
 

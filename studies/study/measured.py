@@ -36,7 +36,7 @@ MOST_ROWS = 10_000
 AXES = ("x", "y", "z")
 DISPLACEMENT = tuple(f"displacement_{axis}" for axis in AXES)
 DEFORMED = tuple(f"deformed_{axis}" for axis in AXES)
-_SI = {"force": "N", "load_factor": "1", "node": "1", "point": ""}  # of columns; of the others metres
+_SI = {"force": "N", "load_factor": "1", "node": "1", "point": ""}  # units of columns; others are in metres
 _HEADER = re.compile(r"((?:(?P<other>[A-Za-z0-9][\w-]*)\.)?(?P<key>\w+))(?:\s*\[(?P<unit>[^\]]*)\])?")
 
 Row = dict[str, Any]
@@ -51,21 +51,22 @@ MEASURED: Layouts = (
 
 
 class MeasuredFileError(ValueError):
-    """A file of measured values that cannot be used; the message has its name and line."""
+    """An unusable file of measured values; the message has its name and line."""
 
 
 def read_measured(path: Path) -> dict[str, Any]:
     """What a CSV file measured: {"points": rows}; {"surface": positions} where it has columns `deformed_x` ...;
     {"forces": rows} where it has a column `force`.
 
-    A row has `point` (its name), the rest position `x`, `y`, `z`, some of `displacement_x`, `displacement_y`,
-    `displacement_z`, and where wanted `uncertainty` and `load_factor`. A column `NAME.displacement_x` is what
-    another program, NAME, computed there. A row of forces has `depth`, `force` and `uncertainty`, a force.
+    Rows of points have `point` (its name), the rest position `x`, `y`, `z`, some of `displacement_x`,
+    `displacement_y`, `displacement_z`, and optionally `uncertainty` and `load_factor`. A column
+    `NAME.displacement_x` is the value of another program, NAME. Rows of forces have `depth`, `force` and
+    `uncertainty`, a force.
 
     Raises
     ------
     MeasuredFileError
-        no such table.
+        not one of these tables.
     """
     kind, rows = read_table(path, MEASURED)
     if len(rows) > MOST_ROWS:
@@ -80,7 +81,7 @@ def read_measured(path: Path) -> dict[str, Any]:
 
 
 def _point(row: Row, file: str) -> Row:
-    """A row as one of a study's `points`; of a cell without a number there is no key."""
+    """A row as one of a study's `points`; a cell without a number gives no key."""
     point: Row = {}
     for key, value in row.items():
         other, _, inner = key.rpartition(".")
@@ -98,13 +99,13 @@ def _point(row: Row, file: str) -> Row:
 def read_table(path: Path, layouts: Layouts, most: int = MOST_BYTES) -> tuple[str, tuple[Row, ...]]:
     """Which of several tables a CSV file holds, and its rows: SI values by column, and `line`, that of the file.
 
-    A header tells its unit in brackets, as in `x [mm]`; without one it is in metres or newtons. Lines that begin
-    with # are passed over.
+    A header has its unit in brackets, as in `x [mm]`; without one it is in metres or newtons. Lines that begin
+    with # are skipped.
 
     Raises
     ------
     MeasuredFileError
-        no such table: an unknown or missing column, a wrong unit, a cell that is no finite number.
+        another table: an unknown or missing column, a wrong unit, a cell that is no finite number.
     """
     if fault := file_fault(path):
         raise MeasuredFileError(f"{path.name} {fault}")
@@ -118,7 +119,7 @@ def read_table(path: Path, layouts: Layouts, most: int = MOST_BYTES) -> tuple[st
     return _parsed(path.name, data, layouts)
 
 
-@lru_cache(maxsize=16)  # each case of a sweep validates the study anew
+@lru_cache(maxsize=16)  # each case of a sweep validates the study again
 def _parsed(name: str, data: bytes, layouts: Layouts) -> tuple[str, tuple[Row, ...]]:
     line, kind = 1, ""
     needed: tuple[str, ...] = ()
@@ -129,7 +130,7 @@ def _parsed(name: str, data: bytes, layouts: Layouts) -> tuple[str, tuple[Row, .
         for number, told in enumerate(text.split("\n"), start=1):
             if not told.strip() or told.startswith("#"):
                 continue
-            line = number  # of the last that says something
+            line = number  # of the last line with content
             cells = [cell.strip() for cell in next(csv.reader([told]))]
             if not kind:
                 kind, needed, columns = _header(cells, layouts)
@@ -147,7 +148,7 @@ def _parsed(name: str, data: bytes, layouts: Layouts) -> tuple[str, tuple[Row, .
 
 
 def _header(titles: list[str], layouts: Layouts) -> tuple[str, tuple[str, ...], dict[str, tuple[str, str]]]:
-    """The table that a header is of, its columns that every row has, and unit and SI unit of each column."""
+    """The table of a header, the columns that every row has, and unit and SI unit of each column."""
     parsed = [(title, _HEADER.fullmatch(title)) for title in titles]
     keys = {match["key"] for _, match in parsed if match}
     kind, needed, others = max(layouts, key=lambda layout: len(keys & {*layout[1], *layout[2]}))
@@ -178,7 +179,7 @@ def _header(titles: list[str], layouts: Layouts) -> tuple[str, tuple[str, ...], 
 
 
 def _row(cells: list[str], columns: Mapping[str, tuple[str, str]], needed: tuple[str, ...]) -> Row:
-    """Values by column, in SI; of an empty cell none."""
+    """Values by column, in SI; empty cells are left out."""
     if len(cells) != len(columns):
         raise QuantityError(f"has {len(cells)} cells, the header {len(columns)}")
     found: Row = {}
@@ -281,7 +282,7 @@ class Measured(Table):
     @model_validator(mode="before")
     @classmethod
     def _of_file(cls, data: Any, info: ValidationInfo) -> Any:
-        """The file's values in the place of its path, so that a case carries all that decides its numbers."""
+        """The file's values instead of its path, so that a case contains all that decides its numbers."""
         if not isinstance(data, dict):
             return data
         given = [key for key in ("path", "points", "surface", "forces") if data.get(key)]
@@ -307,5 +308,5 @@ class Measured(Table):
 
 
 def same_load(factor: float, other: float, largest: float) -> bool:
-    """Whether two load factors of a history are one."""
+    """Whether two load factors of a history are equal to rounding."""
     return abs(factor - other) <= _SAME_LOAD * max(abs(largest), 1e-300)

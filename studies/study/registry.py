@@ -1,8 +1,8 @@
-"""Which models there are: each declares all that a study, a plan and a report need to know of it.
+"""The registry of models: each declares all that a study, a plan and a report need to know.
 
-What a model reads decides its content keys; what superposes is combined instead of solved. The families of models
-are loaded when one is asked for: our own, and those of other packages by the entry point `vdmbench.models`, whose
-module registers its models when it is imported. A model is one `register(Model(...))`.
+The keys that a model reads decide its content keys; loads that superpose are combined instead of solved. Families
+of models are loaded on demand: our own, and those of other packages by the entry point `vdmbench.models`. The
+module of an entry point registers its models when it is imported. A model is one `register(Model(...))`.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ def load_all(package: str, prefix: str) -> list[ModuleType]:
     return [import_module(f"{package}.{name}") for name in names if name.startswith(prefix)]
 
 
-# --- What a model's name tells, for those who may not ask the registry: the report reads results alone ---
+# --- properties that follow from a model's name, for the report, which reads results alone ---
 
 
-FINITE_STRAIN = ("fem",)  # models that can serve as the reference of the small-strain limits
-DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2")  # which have no answer for an incompressible body
-REFINED = " refined"  # what the reference's name gets where it is solved on refinements of the case's mesh
-# solvers of another problem than the linear one
+FINITE_STRAIN = ("fem",)  # models that can be the reference of the small-strain limits
+DISPLACEMENT_ELEMENTS = ("fem-p1", "fem-p2")  # without an answer for an incompressible body
+REFINED = " refined"  # suffix of the reference's name on refinements of the case's mesh
+# solvers of nonlinear problems
 _NOT_LINEAR = ("quasi-linear", "nonlinear", "incremental", "figure-8")
 
 
 def split(name: str) -> tuple[str, str]:
-    """Name in the registry and solver, "linear" where none is named; what tells a refined level is left out."""
+    """Registered name and solver, by default "linear"; a suffix for a refined level is dropped."""
     base, _, solver = name.partition(" ")[0].partition(":")
     return base, solver or "linear"
 
 
-# --- Which models there are: each declares all that a study, a plan and a report need to know of it ---
+# --- the models ---
 
 
-EXTRAS = {  # what a study has that not every model takes -> what is said of one that does not
+EXTRAS = {  # features of a study that not every model takes -> the message for a model that does not
     "cavities": "knows no cavities; take bem, or finite elements",
     "fluid in cavities": "knows no fluid in cavities; take bem, fem-linear or fem",
     "dead forces": "takes no dead force along a line or over facets; use another model for it",
@@ -60,7 +60,7 @@ ENTRY_POINT = "vdmbench.models"
 
 
 class Family(StrEnum):
-    """What a model stands for; each family gets a verdict of its own, in this order."""
+    """The kind of a model; each family has its own verdict, in this order."""
 
     PRINTED = "vdm-printed"
     """Equations (1)-(38) of the paper, nothing added."""
@@ -82,7 +82,7 @@ _FAMILIES = ("vdmbench.models.surface", "vdmbench.models.elements")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that one model's own table may have, in `unit` (SI, "1" for a plain number), and what it is."""
+    """A number in a model's own table, in `unit` (SI, "1" for a plain number), with its help."""
 
     unit: str
     help: str
@@ -90,40 +90,40 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Size:
-    """Surface nodes and tetrahedra of a mesh, as counted or as expected."""
+    """Numbers of surface nodes and tetrahedra of a mesh, counted or expected."""
 
     nodes: float
     tetrahedra: float
 
     def refined(self, times: int) -> Size:
-        """The size after so many refinements; the results stay on the nodes of the case's mesh."""
+        """The size after so many refinements; results stay on the nodes of the case's mesh."""
         return Size(4.0**times * self.nodes, 8.0**times * self.tetrahedra)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """What a model declares of itself, and how it is set up.
+    """The declaration of a model, and its set-up.
 
     Attributes
     ----------
-    prepare : (scene, solver, name, n_loads) -> `vdmbench.models.SetUp`: makes it ready for the body of a scene, for
+    prepare : (scene, solver, name, n_loads) -> `vdmbench.models.SetUp`: sets it up for the body of a scene and
         about so many load steps; raises ValueError with a sentence
-    continues : the same for loads of one rising path, each solved from the last; None where it cannot
-    name : what a study writes, without the solver
-    family : what it stands for
+    continues : the same for loads of one rising path, each solved from the last; None if not available
+    name : as in a study, without the solver
+    family : its family
     version : raised whenever its numbers change; part of every key
     volumetric : whether it needs tetrahedra
-    solvers : the solvers it offers, the default first
-    superposes : of these the ones whose answers to loads superpose
-    tissue : keys of [tissue] that it reads, the density apart, which all read where a weight acts
+    solvers : its solvers, the default first
+    superposes : solvers whose answers to loads superpose
+    tissue : keys of [tissue] that it reads, without the density, which all read if weight acts
     parameters : keys of [vdm] and of its own table that it reads
-    by_rule : of these the moduli that it takes from the tissue where a study does not set them
-    most_nodes : solver -> surface nodes beyond which it refuses a mesh; not there where it has no such limit
-    memory : (mesh, solver) -> bytes that a set-up takes, about: a plan refuses what has no room; None where little
-    contact_in_setup : whether its set-up depends on where the body is touched and how it is moved
-    takes : of `EXTRAS` what it takes, and with which solvers; the others are refused it
-    of_solvers : of these the ones that only some of its solvers read, and which
-    own : of its parameters those that [vdm] has no key for: a study gives them in [models.NAME]
+    by_rule : those of them that are moduli which it takes from the tissue where a study does not set them
+    most_nodes : solver -> largest number of surface nodes; no entry without a limit
+    memory : (mesh, solver) -> approximate bytes of a set-up, for the check of a plan; None if small
+    contact_in_setup : whether its set-up depends on the place of contact and the motion of the body
+    takes : the `EXTRAS` that it takes, each with its solvers; others are refused
+    of_solvers : parameters that only some of its solvers read, with these solvers
+    own : parameters without a key in [vdm]: a study gives them in [models.NAME]
     """
 
     prepare: Callable[..., Any]
@@ -145,13 +145,13 @@ class Model:
     continues: Callable[..., Any] | None = None
 
 
-MODELS: dict[str, Model] = {}  # filled by `vdmbench.models.register` of the families, see `all_models`
+MODELS: dict[str, Model] = {}  # filled by `vdmbench.models.register`, see `all_models`
 
-BROKEN: dict[str, str] = {}  # entry points that do not load -> why, in a sentence
+BROKEN: dict[str, str] = {}  # entry points that do not load -> the reason, as a sentence
 
 
 def own_parameters() -> dict[str, Parameter]:
-    """The parameters that models have declared beside those of [vdm], of the families loaded so far."""
+    """Parameters that models declare beside those of [vdm], for the families loaded so far."""
     return {key: parameter for model in MODELS.values() for key, parameter in model.own.items()}
 
 
@@ -173,13 +173,13 @@ def _load_families() -> None:
 
 
 def all_models() -> dict[str, Model]:
-    """Every model by its name, those of other packages too."""
+    """Every model by its name, including those of other packages."""
     _load_families()
     return MODELS
 
 
 def model_names() -> list[str]:
-    """Every name that a study can write, with and without solver."""
+    """Every name that a study can use, with and without solver."""
     return [
         name
         for model in all_models().values()
@@ -188,7 +188,7 @@ def model_names() -> list[str]:
 
 
 def _known(name: str) -> tuple[Model | None, str]:
-    """The model behind a name, or that of a refined level, None where it is not registered here; and its solver."""
+    """The registered model of a name, without a refined level's suffix, or None; and the solver."""
     base, _, solver = name.partition(REFINED)[0].partition(":")
     model = all_models().get(base)
     return model, solver or (model.solvers[0] if model is not None else "")
@@ -209,22 +209,22 @@ def find(name: str) -> tuple[Model, str]:
 
 
 def lacks(name: str, extras: Collection[str]) -> list[str]:
-    """A sentence for each of these `EXTRAS` that a model does not take with its solver, with what to do."""
+    """A sentence with a remedy for each of these `EXTRAS` that a model does not take with its solver."""
     model, solver = find(name)
     if is_linear(name):
-        extras = {*extras} - {"law"}  # which is of large strain alone
+        extras = {*extras} - {"law"}  # a law of large strain has no effect
     wanted = [extra for extra in EXTRAS if extra in extras and solver not in model.takes.get(extra, ())]
     return [f"{name} {EXTRAS[extra]}" for extra in wanted]
 
 
 def family_of(name: str) -> Family:
-    """What a model, or a refined level of it, stands for; what is not registered here is another's engine."""
+    """The family of a model or a refined level of it; an unregistered model is another program's."""
     model, _ = _known(name)
     return model.family if model is not None else Family.ENGINES
 
 
 def is_linear(name: str) -> bool:
-    """Whether a model solves the linear problem from rest; an engine does where it superposes."""
+    """Whether a model solves the linear problem from rest; another program's does if it superposes."""
     base, solver = split(name)
     model = all_models().get(base)
     if model is not None and model.family is Family.ENGINES and solver not in model.superposes:
@@ -233,12 +233,12 @@ def is_linear(name: str) -> bool:
 
 
 def is_surface(name: str) -> bool:
-    """Whether a model needs the surface alone: one of VDM or a peer of it."""
+    """Whether a model needs the surface alone: a form of VDM or a peer."""
     return family_of(name) in SURFACE
 
 
 def reads(name: str) -> tuple[str, ...]:
-    """Keys of [vdm] that a model reads with its solver; none where it is unknown."""
+    """Keys of [vdm] that a model reads with its solver; none if it is unknown."""
     model, solver = _known(name)
     if model is None:
         return ()
@@ -246,6 +246,6 @@ def reads(name: str) -> tuple[str, ...]:
 
 
 def superposes(name: str, *, penalty: bool = False) -> bool:
-    """Whether a model's answers to loads superpose; a penalty leaves more rounding than that may have."""
+    """Whether a model's answers to loads superpose; not with a penalty, which leaves too much rounding."""
     model, solver = find(name)
     return solver in model.superposes and not penalty

@@ -88,7 +88,7 @@ class Tissue(Table):
     )
 
 
-# --- Laws of large strain, and their keys of [tissue]: numbers without a unit beside the moduli at small strain ---
+# --- laws of large strain and their keys of [tissue]: dimensionless numbers beside the small-strain moduli ---
 
 
 NEO_HOOKEAN = "neo-hookean"
@@ -110,7 +110,7 @@ Vdm = dict[str, float | str]
 MOST_STEPS = 10_000  # of a load history: each keeps the displacement of every node
 MOST_NAMES = 200  # of models, regions, constraints
 MOST_VALUES = 100_000  # of an axis of a sweep
-MOST_LEVELS = 4  # of meshes that a reference's error bar is from
+MOST_LEVELS = 4  # of meshes for a reference's error bar
 
 
 # --- the tables ---
@@ -190,7 +190,7 @@ class VdmTable(Table):
 
 def model_table() -> type[VdmTable]:
     """The table of a single model: the keys of [vdm], and those that models declare as their own."""
-    all_models()  # which loads the families
+    all_models()  # loads the families
     return _table_with(tuple(own_parameters().items()))
 
 
@@ -269,7 +269,7 @@ class Load(Table):
 
     @property
     def history(self) -> tuple[float, ...]:
-        """All load factors in order."""
+        """All load factors in order, expanded."""
         count = self.steps or 1
         starts = (0.0, *self.factors)
         return tuple(
@@ -335,7 +335,7 @@ class Known(Table):
 
 
 NEVER_SWEPT = {"study", "sweep", "inputs", "limits", "calibration", "acceptance", "measured"}
-# tables whose numbers decide how much is computed, or the body itself
+# tables that decide the amount of computation, or the body itself
 NEVER_AN_INPUT = {*NEVER_SWEPT, "geometry", "load", "uncertainty"}
 
 
@@ -428,38 +428,38 @@ class Study(Table):
     )
 
     _source: Source = PrivateAttr(default=Source())
-    _cases: tuple[Any, ...] | None = PrivateAttr(default=None)  # of its sweep, where they are made already
+    _cases: tuple[Any, ...] | None = PrivateAttr(default=None)  # of its sweep, if already made
 
     def __eq__(self, other: object) -> bool:
-        """Whether the keys are equal; where a study came from is no part of it."""
+        """Whether the keys are equal; the source of a study does not count."""
         return isinstance(other, Study) and self.__dict__ == other.__dict__
 
     @property
     def text(self) -> str:
-        """Of its file, with the changes made to it; "" of one that is from no file."""
+        """Text of its file, with the changes made to it; "" without a file."""
         return self._source.text
 
     @property
     def path(self) -> str:
-        """Of its file, "study" of one that is from no file."""
+        """Path of its file, or "study" without one."""
         return self._source.path
 
     def error(self, findings: Sequence[Finding]) -> StudyError:
-        """The error for what is wrong with it, at the places in its file."""
+        """The error for its mistakes, at their places in the file."""
         return self._source.error(findings, self.model_dump())
 
     def model_copy(self, **options: Any) -> Study:
-        """A copy with changes, whose cases are its own."""
+        """A copy with changes, which makes its own cases."""
         copy = super().model_copy(**options)
         copy._cases = None
         return copy
 
     def model_parameters(self) -> dict[str, Vdm]:
-        """What [models."NAME"] overrides, by full model name."""
+        """The overrides of [models."NAME"], by full model name."""
         return {name: table.given() for name, table in sorted(self.models.items())}
 
 
-# --- What a study has that not every model takes ---
+# --- features of a study that not every model takes ---
 
 
 def has_weight(study: Study) -> bool:
@@ -468,7 +468,7 @@ def has_weight(study: Study) -> bool:
 
 
 def extras_of(study: Study) -> frozenset[str]:
-    """Of `vdmbench.study.registry.EXTRAS` those that a study has."""
+    """The entries of `vdmbench.study.registry.EXTRAS` that a study has."""
     found = {part.extra for part in study.constraints} - {""}
     if study.tissue.law not in (None, NEO_HOOKEAN):
         found.add("law")
@@ -486,5 +486,5 @@ def extras_of(study: Study) -> frozenset[str]:
 
 
 def extras_for(name: str, study: Study) -> frozenset[str]:
-    """Those that a model of the study is asked for: what it may leave out is not among them."""
+    """The extras that a model of the study must take: those that it may ignore are left out."""
     return extras_of(study) - ({"inclusions"} if name in study.study.homogeneous else set())

@@ -48,7 +48,7 @@ class Geometry(OneOf):
     by = "shape"
     kinds: ClassVar[dict[str, Any]] = {}
     enters = Enters.MESH
-    packages: ClassVar[tuple[str, ...]] = ("gmsh",)  # the distributions whose version can change the mesh
+    packages: ClassVar[tuple[str, ...]] = ("gmsh",)  # distributions whose version can change the mesh
     has_own_tetrahedra: ClassVar[bool] = False
 
     shape: str = Key("kind of body")
@@ -63,7 +63,7 @@ class Geometry(OneOf):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What is given beside the shape and the size of its mesh."""
+        """The keys beside the shape and the mesh size."""
         apart = ("shape", "mesh_size")
         return {key: value for key, value in self.model_dump().items() if key not in apart}
 
@@ -77,11 +77,11 @@ class Shape(Geometry):
         mesh_size: Length = Key(Geometry.model_fields["mesh_size"].description)
 
     def extents(self) -> Extents:
-        """Along x, y and z [m]."""
+        """Extents along x, y and z [m]."""
         raise NotImplementedError(f"{self.shape}: a shape has extents")
 
     def area_and_volume(self) -> tuple[float, float]:
-        """[m^2], [m^3], within some percent: the size of a mesh is told from them."""
+        """Area [m^2] and volume [m^3], within some percent: they give the size of a mesh."""
         raise NotImplementedError(f"{self.shape}: a shape has an area and a volume")
 
     def extent_key(self) -> str:
@@ -109,7 +109,7 @@ class SphereImage(Shape):
     packages = ("gmsh", "pyacvd", "vtk")
 
     def of_sphere(self, sphere: Array) -> Array:
-        """Points (n, 3) of its surface for points of the unit sphere, one to one, of any size and place."""
+        """Points (n, 3) of its surface for points of the unit sphere, one to one, of any size and position."""
         raise NotImplementedError(f"{self.shape}: an image of the sphere has points")
 
 
@@ -236,29 +236,29 @@ class FileBody(Geometry):
 
     @property
     def suffix(self) -> str:
-        """In small letters."""
+        """File suffix in small letters."""
         return self.path.suffix.lower()
 
     @property
     def has_own_tetrahedra(self) -> bool:  # type: ignore[override]
-        """Whether the file has tetrahedra, which `mesh_size` does not touch."""
+        """Whether the file has tetrahedra; `mesh_size` then has no effect."""
         return self.suffix in VOLUME_SUFFIXES
 
 
-# --- What is to be meshed: checks, size estimate and content key. Imports no mesher ---
+# --- before meshing: checks, size estimate and content key; imports no mesher ---
 
 
 MESHER_VERSION = "2"  # raise it with every change that alters a mesh
 
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtp")
 
-SMALLEST_EXTENT = 1e-3  # m; outside these two a length in the wrong unit is far likelier than such an organ
+SMALLEST_EXTENT = 1e-3  # m; beyond this and the largest, a wrong unit is more likely than such an organ
 MAX_NODES = 2_000_000  # of a mesh
 LARGEST_EXTENT = 10.0  # m
 
 
 def check_extent(extent: float, remedy: str, *key: str) -> None:
-    """Raise MeshError about a key, ending with `remedy`, for a largest extent [m] that no organ has."""
+    """Raise MeshError about a key, ending with `remedy`, for a largest extent [m] that is implausible."""
     if not SMALLEST_EXTENT * (1 - 1e-9) <= extent <= LARGEST_EXTENT * (1 + 1e-9):
         raise MeshError(
             f"the largest extent is {extent:.6g} m, which looks like a mixed-up unit; {remedy}", *key
@@ -279,16 +279,16 @@ def estimated_nodes(area: float, volume: float, mesh_size: float) -> tuple[float
     """Nodes of a uniform mesh on `area` and inside `volume` (0 where only the surface is meshed).
 
     Equilateral triangles of edge h give area / (h^2 sqrt(3)/2) surface nodes. The number inside is a fit to
-    meshes of this module from 400 to 90,000 nodes: gmsh leaves the inside somewhat coarser than the surface.
+    meshes of this module with 400 to 90,000 nodes: gmsh makes the inside somewhat coarser than the surface.
     """
     inside = max(0.0, 0.6 * volume / mesh_size**3 - 0.37 * area / mesh_size**2)
     return 2 / math.sqrt(3) * area / mesh_size**2, inside
 
 
 def expected_size(area: float, volume: float, mesh_size: float) -> tuple[float, float]:
-    """Surface nodes and tetrahedra of a uniform mesh; of those none where `volume` is 0.
+    """Surface nodes and tetrahedra of a uniform mesh; no tetrahedra if `volume` is 0.
 
-    A tetrahedral mesh with many nodes has about six cells to a node, on the surface about two.
+    A tetrahedral mesh with many nodes has about six cells per node, and two per surface node.
     """
     on_surface, inside = estimated_nodes(area, volume, mesh_size)
     return on_surface, 2.6 * on_surface + 6.5 * inside if volume else 0.0
@@ -308,7 +308,7 @@ def check_node_budget(
 
 
 def fewer_nodes(geometry: Geometry, extent: float) -> str:
-    """What to do about a mesh with too many nodes of a body this long [m], whose unit may be mixed up."""
+    """The remedy for a mesh with too many nodes, for a body of this extent [m], whose unit may be wrong."""
     given = [key for key in ("size", "scale") if key in geometry.parameters]
     told = "if that is wrong correct " + (given[0] if given else "its lengths")
     if isinstance(geometry, FileBody) and not given:
@@ -320,7 +320,7 @@ def fewer_nodes(geometry: Geometry, extent: float) -> str:
 def geometry_key(geometry: Geometry, *, volume: bool) -> str:
     """SHA-256 (hex) of all that decides the mesh: resolved inputs, the file's bytes and the mesher's versions.
 
-    A file counts by its content and kind, not by its path. Raises MeshError where the file cannot be read.
+    A file counts by its content and kind, not by its path. Raises MeshError for an unreadable file.
     """
     inputs: dict[str, object] = {}
     for name, value in geometry.parameters.items():
@@ -332,7 +332,7 @@ def geometry_key(geometry: Geometry, *, volume: bool) -> str:
     if isinstance(geometry, FileBody):
         inputs["file"] = file_digest(geometry.path)
         inputs["kind"] = geometry.suffix
-        inputs["origin"] = "file"  # until version 0.2 a body was moved to the origin
+        inputs["origin"] = "file"  # up to version 0.2 a body was moved to the origin
         if "size" not in inputs:
             inputs.setdefault("scale", [(1.0).hex()])
         packages = ("gmsh", "meshio") if geometry.has_own_tetrahedra else ("gmsh", "pyacvd", "vtk")
@@ -369,13 +369,13 @@ _AREA, _VOLUME = 1.5155, 0.14533
 def liver_points(sphere: Array) -> Array:
     """Points (n, 3) of the organ for points of the unit sphere; half its width is about 1.
 
-    x runs from the right lobe (negative) to the left, y from front to back, z upward. The numbers are chosen
-    by eye, so that for each x the depth, and for each x and y the height, grows with the sphere's own: the
-    map is one to one and the body cannot meet itself.
+    x runs from the right lobe (negative) to the left, y from front to back, z upward. The numbers are chosen by
+    eye. For each x the depth, and for each x and y the height, grows with the sphere's own: the map is one to
+    one, and the body does not intersect itself.
     """
     import numpy as np  # slow to load: not where a study is only checked
 
-    # Fuller than a sphere: with the exponent 2 the lobes would be pointed.
+    # Fuller than a sphere: with exponent 2 the lobes would be pointed.
     x, v, w = (sphere / (np.abs(sphere) ** _FULLNESS).sum(axis=1, keepdims=True) ** (1.0 / _FULLNESS)).T
     left = _smooth_step(x, -0.35, 0.95)  # 0 in the right lobe, 1 at the tip of the left
     # Depth: the right lobe is deep, the left one lies towards the front.
@@ -385,7 +385,7 @@ def liver_points(sphere: Array) -> Array:
     half_height = (0.60 - 0.36 * left) * wedge
     # The top is a dome nearly level from lobe to lobe, so the lower edge rises to the left.
     middle = 0.30 * left - 0.10 * (x + 0.3) ** 2 - 0.12 * y**2
-    # Underside: a broad hollow towards the left, and a furrow between the lobes; they fade towards the top.
+    # Underside: a broad hollow on the left, and a furrow between the lobes; both fade towards the top.
     below = 0.5 * (1.0 - w)
     hollow = 0.34 * np.exp(-(((x - 0.15) / 0.42) ** 2) - ((y - 0.05) / 0.36) ** 2)
     furrow = 0.12 * np.exp(-(((x - 0.22) / 0.12) ** 2) - ((y + 0.35) / 0.30) ** 2)

@@ -1,4 +1,4 @@
-"""The sweep of a study, its axes and cases; and how well the numbers of a study are known."""
+"""The sweep of a study, its axes and cases; and the uncertain inputs of a study."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ Entry = tuple[
 Case = tuple[str, dict[str, Value], dict[str, Any]]
 
 STAR, _HYPERCUBE = "one-at-a-time", "latin-hypercube"
-_BASE = "base"  # label of the case that a star is about
+_BASE = "base"  # label of a star's central case
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One swept key: its values in SI, those of a Latin hypercube the ends of the range that it samples.
+    """One swept key with its values in SI; for a Latin hypercube the ends of its range.
 
     Attributes
     ----------
-    loc, place : of the axis in the file, and in the study of the value that it varies
-    unit : SI, "" of a value that is no quantity
+    loc, place : of the axis in the file, and of the varied value in the study
+    unit : SI; "" for a value that is no quantity
     """
 
     key: str
@@ -66,7 +66,7 @@ class ResolvedCase:
 
     Attributes
     ----------
-    label : what tells it from its neighbours, such as "poisson_ratio = 0.45"; empty in a study of one case
+    label : distinguishes it, such as "poisson_ratio = 0.45"; empty in a study of one case
     swept : swept key -> value, SI
     swept_units : swept key -> SI unit, "1" where it has none
     study : the study with these values and without a sweep
@@ -82,10 +82,11 @@ class ResolvedCase:
 
 
 def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
-    """The axes of a study's data, as parsed from TOML, and what is wrong with them.
+    """The axes of a study's data, as parsed from TOML, and their mistakes.
 
-    A study that has the first value of each tells which keys there are, and their units; where it has faults, the
-    axes have that value alone, as it is written. The first of a hypercube's range is no sample: it may be the last.
+    A study with the first value of each axis provides keys and units. If that study has mistakes, each axis has
+    only its first value, as written. The start of a hypercube's range is no sample, and may be invalid; the end
+    is then tried.
     """
     sweep = data.get("sweep")
     if not isinstance(sweep, dict):
@@ -124,7 +125,7 @@ def read_axes(data: Mapping[str, Any]) -> tuple[list[Axis], list[Finding]]:
 
 
 def _typed(data: Mapping[str, Any]) -> tuple[Study | None, list[ErrorDetails]]:
-    """The study of some data, or what is wrong with the types of its values."""
+    """The study of given data, or the type errors of its values."""
     try:
         return Study.model_validate(data), []
     except ValidationError as error:
@@ -133,7 +134,7 @@ def _typed(data: Mapping[str, Any]) -> tuple[Study | None, list[ErrorDetails]]:
 
 @contextlib.contextmanager
 def _told(findings: list[Finding], loc: Loc) -> Iterator[None]:
-    """What is wrong with an entry is told there."""
+    """Report the mistakes of an entry at its place."""
     try:
         yield
     except ValidationError as error:
@@ -143,7 +144,7 @@ def _told(findings: list[Finding], loc: Loc) -> Iterator[None]:
 
 
 def told_at(axes: Sequence[Axis], data: Mapping[str, Any], loc: Loc) -> Loc:
-    """Where what is wrong at a place is told: at the axis that varies it, or makes what the file has not."""
+    """The place to report a mistake: the axis that varies the value, or creates what the file lacks."""
     for axis in axes:
         if loc == axis.place or (isinstance(axis.place[-1], int) and loc == axis.place[:-1]):
             return axis.loc
@@ -154,7 +155,7 @@ def told_at(axes: Sequence[Axis], data: Mapping[str, Any], loc: Loc) -> Loc:
 def _entries(
     name: str, table: Mapping[str, Any], data: Mapping[str, Any], kind: type[Table], never: Set[str]
 ) -> tuple[list[Entry], list[Finding]]:
-    """The entries of [sweep] or [inputs], and what is wrong with the keys of others."""
+    """The entries of [sweep] or [inputs], and the mistakes in their keys."""
     own = Sweep.model_fields.keys() if kind is Range else ()
     tables = [one for one in Study.model_fields if one not in never]
     found: dict[str, Entry] = {}
@@ -172,7 +173,7 @@ def _entries(
                 raise InputError(unknown(path[0], [*tables, *own], "key"))
             found[key] = key, loc, located(data, path, kind.model_fields), value
         if len(findings) > MOST_TOLD:
-            break  # the search for the key that was meant is slow
+            break  # the search for the intended key is slow
     return list(found.values()), findings
 
 
@@ -192,7 +193,7 @@ def _flattened(
 
 
 def at(study: Table, loc: Loc) -> tuple[Any, str]:
-    """The value at a place of a sound study, None where it has none, and its SI unit, "" of no quantity.
+    """The value at a place of a valid study, None if it has none, and its SI unit, "" if it is no quantity.
 
     Raises
     ------
@@ -212,12 +213,12 @@ def at(study: Table, loc: Loc) -> tuple[Any, str]:
 
 
 def _axis(axis: Axis, value: Any, study: Study | None, *, sampled: bool) -> Axis:
-    """An axis with its values; without a study, which has the first, with that alone, as it is written.
+    """An axis with its values; without a valid study only the first one, as written.
 
     Raises
     ------
     InputError, ValidationError
-        what is written is no axis of such a value.
+        the entry is no axis of such values.
     """
     if not isinstance(value, list | dict):
         raise InputError(f"must be a list of values, or {{ start, stop, num }}, not {type_name(value)}")
@@ -282,7 +283,7 @@ def cases(data: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[Case]:
     sweep = data.get("sweep", {})
     rest = {key: value for key, value in data.items() if key != "sweep"}
     last = {axis.key: _short(axis.key) for axis in axes}
-    often = Counter(last.values())  # labels call an axis by its last part where that is its own
+    often = Counter(last.values())  # labels use the last part of a key if it is unique
 
     def told(axis: Axis, value: Value) -> str:
         name = last[axis.key] if often[last[axis.key]] == 1 else axis.key
@@ -319,23 +320,23 @@ def _combinations(sweep: Mapping[str, Any], axes: Sequence[Axis]) -> Iterator[li
 
 
 def _off_base(axes: Sequence[Axis], base: Mapping[str, Value]) -> Iterator[list[tuple[Axis, Value]]]:
-    """Nothing, then each axis alone, with the values that are not the base's own."""
+    """No change, then each axis alone, with its values other than the base's."""
     yield []
     for axis in axes:
         own = base.get(axis.key)
         for value in axis.values:
             if isinstance(value, str) or isinstance(own, str | None):
                 same = value == own
-            else:  # "1 mm" and 0.001 may differ in their last bit
+            else:  # "1 mm" and 0.001 may differ in the last bit
                 same = math.isclose(value, own, rel_tol=1e-14)
             if not same:
                 yield [(axis, value)]
 
 
 def first_case(data: dict[str, Any], axes: Sequence[Axis]) -> dict[str, Any]:
-    """`data` with the first value of those axes whose key the file leaves to the sweep; a star leaves it none.
+    """`data` with the first value of axes whose key the file leaves out; unchanged for a star.
 
-    Of the range of a hypercube that is its middle: its ends are no samples.
+    For the range of a hypercube it is the middle: the ends are no samples.
     """
     if isinstance(data.get("sweep"), dict) and data["sweep"].get("mode") == STAR:
         return data
@@ -390,7 +391,7 @@ def check_cases(
     return resolved, found
 
 
-# --- [inputs]: how well the numbers of a study are known, each as a standard deviation or a range ---
+# --- [inputs]: uncertain numbers of a study, each with a standard deviation or a range ---
 
 
 _FORMS = 'write { sd = "..." }, a standard deviation, or { range = ["...", "..."] }'
@@ -398,13 +399,13 @@ _FORMS = 'write { sd = "..." }, a standard deviation, or { range = ["...", "..."
 
 @dataclass(frozen=True)
 class Input:
-    """One number that is not known: a key of the study, its value, and how far it may be off, in SI.
+    """One uncertain number: a key of the study, its value and its uncertainty, in SI.
 
     Attributes
     ----------
-    ends : the values whose answers are subtracted: those of a range, or one standard deviation either way
-    weight : what half the difference of these answers is multiplied by, to be a standard deviation
-    written, entry : its table, as a file could hold it, and where that is
+    ends : values at which answers are compared: the ends of the range, or one standard deviation either way
+    weight : factor from half the difference of these answers to a standard deviation
+    written, entry : its table as in a file, and the place of that
     """
 
     key: str
@@ -423,18 +424,18 @@ class Input:
 
     @property
     def place(self) -> float:
-        """Where the study's value is between the ends, from 0 to 1."""
+        """Position of the study's value between the ends, from 0 to 1."""
         low, high = self.ends
         return (self.value - low) / (high - low)
 
 
 def inputs_of(study: Study) -> list[Input]:
-    """What is not known of a sound study, in the order of its keys."""
+    """The uncertain inputs of a valid study, in the order of its keys."""
     return read_inputs(study)[0]
 
 
 def read_inputs(study: Study) -> tuple[list[Input], list[Finding]]:
-    """The inputs of a study whose other keys are sound, and what is wrong with them."""
+    """The uncertain inputs of a study whose other keys are valid, and their mistakes."""
     if study.inputs is None:
         return [], []
     data = study.model_dump()
@@ -472,20 +473,20 @@ def _input(study: Study, key: str, loc: Loc, place: Loc, entry: Any) -> Input:
         raise InputError(
             f"does not hold the study's own value, {value:g} {unit.removeprefix('1')}".rstrip(), "range"
         )
-    even = 1.0 / math.sqrt(3.0)  # every value between is as likely
+    even = 1.0 / math.sqrt(3.0)  # for a uniform distribution
     return Input(key, place, unit, value, (low, high), even, {"range": [low, high]}, loc)
 
 
-# --- The studies with other values of the inputs that tell what comes of not knowing them ---
+# --- variations of a study: other values of the uncertain inputs ---
 
 
 def variations(study: Study) -> tuple[list[ResolvedCase], list[Finding]]:
-    """The study with each input at both its ends in turn, or the first thing that is wrong with that."""
+    """The study with each input at both its ends in turn, or the first mistake in that."""
     if study.inputs is None:
         return [], []
     data = study.model_dump()
     inputs, findings = read_inputs(study)
-    # of an answer the other tables decide nothing
+    # other tables do not affect an answer
     rest = {key: table for key, table in data.items() if Enters.of(Study.model_fields[key]) is None}
     found: list[ResolvedCase] = []
     for one, value in [(known, end) for known in inputs for end in known.ends if not findings]:

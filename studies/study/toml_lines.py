@@ -1,7 +1,7 @@
-"""The line of every key of a TOML text, which `tomllib` does not tell.
+"""Line numbers of all keys of a TOML text, which `tomllib` does not give.
 
-A text is cut into its statements, and `tomllib` reads each: what it finds is on the statement's line, an item of a
-list on its own. Nesting is counted before `tomllib` sees the text: a dotted key of 40 kB takes 1.6 GB there.
+A text is split into statements, and `tomllib` reads each. Its keys are on the statement's line, items of a list
+on their own. Nesting is checked before `tomllib` sees the text: there a dotted key of 40 kB takes 1.6 GB.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 Path = tuple[str | int, ...]
 
-# tables and lists inside each other, and parts of a dotted key; also keeps recursion here and in the models shallow
+# depth of nested tables and lists, and parts of a dotted key; limits recursion here and in the models too
 MAX_DEPTH = 64
 
 _STRING = "|".join(
@@ -22,14 +22,14 @@ _STRING = "|".join(
         r"'''.*?'{3,5}(?!')",
         r'"(?!"")(?:[^"\\\n]|\\.)*"',
         r"'(?!'')[^'\n]*'",
-        r"[\"'].*",  # without an end: all of the rest, of a text that is no TOML
+        r"[\"'].*",  # unterminated: the rest of an invalid text
     )
 )
 _TOKEN = re.compile(rf"#[^\n]*|{_STRING}|[^\"'#\n\[\]{{}}.,=]+|.", re.DOTALL)
 
 
 class TooLarge(ValueError):
-    """A text that is nested deeper than `MAX_DEPTH`; and the line of it."""
+    """A text that is nested deeper than `MAX_DEPTH`, with the line."""
 
     def __init__(self, line: int) -> None:
         super().__init__(f"nested more than {MAX_DEPTH} levels deep; no study needs that")
@@ -37,7 +37,7 @@ class TooLarge(ValueError):
 
 
 class Statement(NamedTuple):
-    """A header, or a key with its value: its 1-based line, its text, and of a list the line of each item."""
+    """A header, or a key with its value: its 1-based line, its text, and for a list the line of each item."""
 
     line: int
     text: str
@@ -76,12 +76,12 @@ def statements(text: str) -> Iterator[Statement]:
 
 
 def key_lines(found: Sequence[Statement]) -> dict[Path, int]:
-    """Map the path of every key, list item and table of a sound text to the 1-based line where it is first written.
+    """The path of every key, list item and table of a valid text -> the 1-based line where it first appears.
 
-    A path is what one would index the parsed document with: `("constraints", 0, "region")`.
+    A path indexes the parsed document: `("constraints", 0, "region")`.
     """
     lines: dict[Path, int] = {}
-    counts: dict[Path, int] = {}  # entries so far of each array of tables
+    counts: dict[Path, int] = {}  # entries of each array of tables so far
     table: Path = ()
     for one in found:
         read: Any = tomllib.loads(one.text)
@@ -104,7 +104,7 @@ def key_lines(found: Sequence[Statement]) -> dict[Path, int]:
 
 
 def _note(lines: dict[Path, int], path: Path, value: Any, line: int, items: Sequence[int]) -> None:
-    """Note a value and what is in it; `items` are the lines of the outermost list, where that is all of a value."""
+    """Note the line of a value and its parts; `items` are the lines of the outermost list, if the value is one."""
     lines.setdefault(path, line)
     if isinstance(value, Mapping):
         for key, inner in value.items():

@@ -29,7 +29,7 @@ DIMENSIONS = {
     "s": ("a time", "1 ms"),
     "1": ("a plain number", "0.45"),
 }
-# what nearly every study writes, in the unit of its dimension; pint, 0.4 s to start, knows all others
+# common units, in the unit of their dimension; pint, which takes 0.4 s to load, knows all others
 _COMMON = {
     "m": {"m": "1", "cm": "0.01", "mm": "0.001", "um": "1e-6"},
     "rad": {"rad": "1", "deg": "0.01745329251994329576923690768"},

@@ -1,4 +1,4 @@
-"""The cache: answers as sealed files under their keys; and results made from answers."""
+"""The cache: answers as sealed files under their keys; and results combined from answers."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ..store.plain import typed
 
 
 def answer_path(cache: Path, key: str) -> Path:
-    """Where the cache keeps the answer of a key."""
+    """Path of the answer of a key."""
     return cache / "answers" / f"{key}.npz"
 
 
 def write_answer(path: Path, result: ModelResult) -> None:
-    """Store an answer; frames are measured anew in each run. Raises OSError."""
+    """Store an answer without frame times, which each run measures. Raises OSError."""
     write_arrays(path, result, frames=None)
 
 
 def read_answer(path: Path) -> ModelResult | None:
-    """The answer stored at `path`; None where none is sound."""
+    """The answer stored at `path`; None if there is no sound one."""
     stored = read_arrays(path)
     if stored is None:
         return None
@@ -35,7 +35,7 @@ def read_answer(path: Path) -> ModelResult | None:
 
 
 def stored_answer(cache: Path, key: str) -> ModelResult:
-    """An answer that a node before this one has made. Raises OSError where it is gone."""
+    """An answer of an earlier task. Raises OSError if it is gone."""
     path = answer_path(cache, key)
     answer = read_answer(path)
     if answer is None:
@@ -52,11 +52,11 @@ def combined(
 
     Parameters
     ----------
-    datum : the pressure that the fluid has without load [Pa]
+    datum : pressure of the fluid without load [Pa]
     """
     factors = np.array(scales)
     first = answers[0]
-    if all(answer is first for answer in answers):  # a load history of one load
+    if all(answer is first for answer in answers):  # a history of a single load
         whole = steps_of(first, np.zeros(len(factors), dtype=int))
     else:
         whole = joined(first, answers)

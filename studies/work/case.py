@@ -38,22 +38,22 @@ Payload = Mapping[str, Any]
 Stored = Callable[[str], ModelResult]  # key -> answer
 
 
-@lru_cache(maxsize=64)  # of a worker: cases of one body share answers
+@lru_cache(maxsize=64)  # per worker: cases of one body share answers
 def _stored(cache: Path, key: str) -> ModelResult:
     return stored_answer(cache, key)
 
 
 def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
-    """Write one case, told as by `vdmbench.work.tasks.case_payload`.
+    """Write one case, from a payload of `vdmbench.work.tasks.case_payload`.
 
     Parameters
     ----------
-    meshes : its mesh and the refinements up to a level
+    meshes : gives its mesh and the refinements up to a level
 
     Raises
     ------
     OSError
-        an answer is gone that was there; disk full or read-only.
+        an answer that existed is gone; disk full or read-only.
     """
     case = typed(PlannedCase, payload["case"])
     study, mesh = case.study, meshes(0).finest
@@ -109,7 +109,7 @@ def make_case(payload: Payload, meshes: Callable[[int], Hierarchy]) -> None:
             models=results,
             metrics=metrics,
             reference=reference,
-            # of mesh levels, the finest first
+            # of mesh levels, finest first
             reference_error=own_error(surface, levels[::-1], factors) if len(levels) > 1 else {},
             small_strain=small_strain_limits(study, mesh) if study.limits is not None else None,
             measurement=measurement,
@@ -133,7 +133,7 @@ def _result(wanted: Wanted, scene: Scene, stored: Stored) -> ModelResult:
 
 
 def _varied(case: PlannedCase, scene: Scene, stored: Stored, name: str) -> list[Answer]:
-    """What a model answers to each variation of the inputs; the refined reference as on the case's own mesh."""
+    """A model's answers to the variations of the inputs; the refined reference answers on the case's own mesh."""
     found = []
     for part in case.variations:
         want = part.want(name.removesuffix(REFINED))
@@ -149,7 +149,7 @@ def compare(
     reference: str | None,
     measurement: Measurement | None = None,
 ) -> dict[str, dict[str, Array]]:
-    """Every metric of every model; the reference itself gets those that need no comparison."""
+    """Every metric of every model; the reference itself has those without comparison."""
     histories = {
         name: History(
             result.displacement,

@@ -1,7 +1,7 @@
-"""A Dask cluster as a pool: each worker does tasks in a process of its own, as a run here does.
+"""A Dask cluster as a pool: each worker does a task in a separate process, like a local run.
 
-What travels is text: a task in JSON there, what became of it back. Results are files in the cache and the run
-directory, which the machines of the cluster share. Dask gives the task of a worker that died to another.
+Tasks and their outcomes travel as JSON text. Results are files in the cache and the run directory, which all
+machines share. If a worker dies, Dask gives its task to another.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from .pool import local_pool
 from .worker import Said
 
 INSTALL = "pip install --constraint constraints.txt --editable '.[distributed]'"
-LOOPBACK = "--host 127.0.0.1 --dashboard-address 127.0.0.1:0"  # for whoever starts a part of a cluster
+LOOPBACK = "--host 127.0.0.1 --dashboard-address 127.0.0.1:0"  # options to start a part of a cluster
 _POLL = 0.2  # s
-_WITHOUT_WORKERS = 60.0  # s that a scheduler may have no worker when a run begins
+_WITHOUT_WORKERS = 60.0  # s without a worker that are allowed at the start of a run
 
 
 class ClusterError(OSError):
-    """A cluster that is not there, or whose workers cannot do the work."""
+    """A cluster that is missing, or whose workers cannot do the work."""
 
 
 class Cluster:
@@ -39,7 +39,7 @@ class Cluster:
 
     Parameters
     ----------
-    scratch : a directory of this run alone, seen by all machines: where it is gone, what is at work stops
+    scratch : a directory of this run alone, seen by all machines; running tasks stop when it is removed
     """
 
     def __init__(self, client: Any, address: str, scratch: Path) -> None:
@@ -69,12 +69,12 @@ class Cluster:
         return said
 
     def _pass_on(self, theirs: Future[str], said: Future[str]) -> None:
-        """What became of a task there; a ClusterError where the scheduler is lost, or a worker cannot do it."""
+        """Set the outcome of a task; a ClusterError if the scheduler is lost or a worker cannot do it."""
         try:
             said.set_result(theirs.result())
         except CancelledError:
             said.set_exception(self._lost())
-        except Exception as error:  # noqa: BLE001  whatever Dask raises
+        except Exception as error:  # noqa: BLE001  any error of Dask
             if type(error).__name__ == "KilledWorker":
                 why = "its worker was lost several times while it was at work"
                 remedy = "use a coarser mesh, or workers with more memory; see the cluster's own logs"
@@ -84,9 +84,9 @@ class Cluster:
             said.set_exception(ClusterError(f"a worker of {self._address} {why}"))
 
     def close(self) -> None:
-        """Cancel what waits; what is at work stops when the scratch directory is gone."""
+        """Cancel waiting tasks; running ones stop when the scratch directory is gone."""
         shutil.rmtree(self._scratch, ignore_errors=True)
-        with suppress(Exception):  # the scheduler may be what was lost
+        with suppress(Exception):  # the scheduler may be lost
             self._executor.shutdown(wait=False, cancel_futures=True)
 
     def _lost(self) -> ClusterError:
@@ -102,19 +102,18 @@ def cluster_pool(address: str, directory: Path, *, insecure: bool) -> Iterator[C
     Raises
     ------
     InputError
-        not an address, or one of another machine without TLS where that is not asked for by `insecure`.
+        not an address, or one of another machine without TLS and without `insecure`.
     ImportError
         Dask is not installed.
     ClusterError
-        nobody answers in the time that Dask's configuration allows (distributed.comm.timeouts.connect), or there is
-        no worker.
+        no answer in the time of Dask's configuration (distributed.comm.timeouts.connect), or no worker.
     """
     address = checked_address(address, insecure=insecure)
     try:
         import distributed
     except ImportError:
         raise ImportError(f"--scheduler needs Dask, which is not installed: {INSTALL}") from None
-    for name in ("distributed", "tornado.application"):  # what matters of these is said by an error
+    for name in ("distributed", "tornado.application"):  # their important messages arrive as errors
         logging.getLogger(name).setLevel(logging.CRITICAL)
     safe, where = address.startswith("tls:"), f" {LOOPBACK}" if is_loopback(address) else ""
     if safe:
@@ -141,7 +140,7 @@ def cluster_pool(address: str, directory: Path, *, insecure: bool) -> Iterator[C
 
 
 def _require_certificates(security: Any, address: str) -> None:
-    """Dask itself would leave a client half-made behind."""
+    """Check certificates first: Dask itself would leave a half-made client behind."""
     try:
         context = security.get_connection_args("client")["ssl_context"]
     except OSError as error:
@@ -182,16 +181,16 @@ def is_loopback(address: str) -> bool:
 
 
 class RefusalError(ValueError):
-    """A worker that must not do a task; the message says why."""
+    """A worker that must not do a task; the message gives the reason."""
 
 
 def carry_out(text: str) -> str:
-    """On a worker: do a task in a process of its own; what became of it as JSON. Stops it when the run is over.
+    """On a worker: do a task in a separate process; returns its outcome as JSON. Stops it when the run is over.
 
     Raises
     ------
     RefusalError
-        another version than the run's, or a run directory that it does not see.
+        another version than the run's, or a run directory that the worker does not see.
     """
     request, here = json.loads(text), _versions()
     for name, wanted in request["versions"].items():
@@ -202,7 +201,7 @@ def carry_out(text: str) -> str:
     if not run.is_dir():
         told = f"does not see {run}: the run directory must be on a file system that all machines share"
         raise RefusalError(told)
-    # a nanny starts its worker as a daemon, which may have no processes of its own
+    # a nanny starts its worker as a daemon, which may not start processes
     multiprocessing.current_process().daemon = False
     with local_pool(1) as pool:
         future = pool.submit(request["task"], Path(request["log"]), request["timeout"])
@@ -213,7 +212,7 @@ def carry_out(text: str) -> str:
 
 
 def _versions() -> dict[str, str]:
-    """What must be the same everywhere: the package's version and the declared one of each model."""
+    """The versions that must agree everywhere: the package's and each model's."""
     from .. import models
 
     return {

@@ -1,4 +1,4 @@
-"""A plan in words: what is shared, what is known already, what has no chance, and which scenes are doubtful."""
+"""A plan in words: shared work, existing results, work that must fail, and doubtful scenes."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from ..study.units import shown
 from .plan import Plan, PlannedCase, PlannedMesh
 from .tasks import Task, tasks_of
 
-MEMORY_DOUBT = 2.0  # declared bytes over those of the machine, from which on nothing is tried
-MOST_SCENES = 20  # of a study, in the order of its cases
-MOST_NODES = 20_000  # of the surface of a body that is meshed for it
+MEMORY_DOUBT = 2.0  # ratio of declared memory to that of the machine above which nothing is tried
+MOST_SCENES = 20  # scenes to check, in the order of a study's cases
+MOST_NODES = 20_000  # on the surface of a body that is meshed for a check
 
 
 def summary(plan: Plan) -> dict[str, Any]:
-    """The plan as plain data: `plan.json`, and what `vdmbench plan` prints."""
+    """The plan as plain data, for `plan.json` and `vdmbench plan`."""
     todo, study = plan.cases_to_run(), plan.study.study
     tasks = tasks_of(plan, todo)
     return {
@@ -69,25 +69,25 @@ def summary(plan: Plan) -> dict[str, Any]:
 
 
 def surfaces(plan: Plan) -> dict[str, str]:
-    """SHA-256 -> name of the files that the bodies are from; their folders are the user's own affair."""
+    """SHA-256 -> name of the bodies' files; folders are left out as private."""
     return {mesh.file_hash: mesh.geometry.path.name for mesh in plan.meshes.values() if mesh.file_hash}
 
 
 def require_own(plan: Plan) -> None:
-    """Raises InputError where the directory holds what a run would replace.
+    """Raise InputError if a run would replace the content of its directory.
 
-    That is something else than a run, another study, or another file of the same name, which --surface named.
+    That is the case for other files, another study, or another file of the same name from --surface.
     """
-    from ..store.plain import StoreError  # with arrays, slow to load, and who checks a study asks for none
+    from ..store.plain import StoreError  # slow to load, and not needed to check a study
     from ..store.run_directory import read_plan, refuse_foreign
 
     refuse_foreign(plan.directory)
     try:
         there = read_plan(plan.directory)
-    except StoreError:  # nothing there, or nothing that can be read
+    except StoreError:  # missing or unreadable
         return
     ours, theirs = plan.study.study.name, there["study"]["name"]
-    # beside the surface `bench` runs bodies of its own, which have none
+    # with --surface `bench` also runs its own bodies, which have no file
     by_name = "--surface" in plan.command and "--out" not in plan.command
     if ours != theirs:
         held = f"the study {shown(theirs)}, not {shown(ours)}"
@@ -98,18 +98,18 @@ def require_own(plan: Plan) -> None:
     raise InputError(f"{plan.directory}: holds {held}; choose another --out")
 
 
-# --- what has no chance ---
+# --- work that must fail ---
 
 
 def beyond_memory(plan: Plan, tasks: Sequence[Task], doubt: float = MEMORY_DOUBT) -> list[Finding]:
-    """What takes more than `doubt` times this machine's memory, with its place in the study."""
+    """Work that takes more than `doubt` times this machine's memory, with its place in the study."""
     there = machine_memory()
     found = {}
     for needed, asked in sorted(
         ((_held(plan, one), one) for one in _answers(tasks)), key=lambda pair: pair[0]
     ):
         mesh = plan.meshes[asked["case"]["mesh"]]
-        if needed > doubt * there:  # of a mesh the one that takes the most
+        if needed > doubt * there:  # keeps the largest for each mesh
             own = mesh.geometry.has_own_tetrahedra
             text = (
                 f"{asked['name']}{REFINED if asked['level'] else ''} on a {mesh.label} would take about "
@@ -121,12 +121,12 @@ def beyond_memory(plan: Plan, tasks: Sequence[Task], doubt: float = MEMORY_DOUBT
 
 
 def _answers(tasks: Sequence[Task]) -> list[Mapping[str, Any]]:
-    """What is asked of models."""
+    """Payloads of the tasks that ask models for answers."""
     return [task.payload for task in tasks if task.kind == "answers"]
 
 
 def _size(mesh: PlannedMesh) -> Size | None:
-    """None where its file cannot be meshed, which is told when it is."""
+    """Size of a mesh; None if its file cannot be meshed, which is reported later."""
     try:
         return mesh.size
     except MeshError:
@@ -134,7 +134,7 @@ def _size(mesh: PlannedMesh) -> Size | None:
 
 
 def _held(plan: Plan, asked: Mapping[str, Any]) -> float:
-    """Bytes that a set-up declares to take; 0 where nobody knows. Raises ValueError where its formula fails."""
+    """Declared bytes of a set-up; 0 if unknown. Raises ValueError if the formula fails."""
     (model, solver), size = models.find(asked["name"]), _size(plan.meshes[asked["case"]["mesh"]])
     if model.memory is None or size is None:
         return 0.0
@@ -149,7 +149,7 @@ def _held(plan: Plan, asked: Mapping[str, Any]) -> float:
 
 
 def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
-    """What models will refuse of these cases."""
+    """Refusals of models for these cases, as sentences."""
     found: dict[str, None] = {}
     for name in plan.study.study.models:
         model, solver = models.find(name)
@@ -164,18 +164,18 @@ def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
     return list(found)
 
 
-# --- scenes, put on their meshes before anything is solved; the meshes are kept for the run ---
+# --- scenes on their meshes before solving; the meshes are kept for the run ---
 
 
 def scene_problems(plan: Plan) -> list[Problem]:
-    """What is doubtful about the scenes, with file and line.
+    """Doubts about the scenes, with file and line.
 
     Raises
     ------
     StudyError
-        a scene that cannot be put on its mesh, or a mesh that cannot be made.
+        a scene that does not fit its mesh, or a mesh that cannot be made.
     """
-    softest_last = list(plan.cases[::-1])  # of equals the first comes last
+    softest_last = list(plan.cases[::-1])  # among equals the first comes last
     softest_last.sort(key=lambda case: -case.study.tissue.youngs_modulus)
     scenes = {(case.mesh, repr((case.study.regions, case.study.constraints))): case for case in softest_last}
     meshes: dict[str, Mesh | None] = {}
@@ -185,28 +185,28 @@ def scene_problems(plan: Plan) -> list[Problem]:
             meshes[case.mesh] = _mesh(plan, case)
         mesh = meshes[case.mesh]
         if mesh is not None:
-            doubts = dict(_doubts(case, _scene(plan, case, mesh))) | doubts  # of several cases the first
+            doubts = dict(_doubts(case, _scene(plan, case, mesh))) | doubts  # the first of several cases
             for other in _other_scenes(case):
                 _scene(plan, other, mesh)
     return plan.study.error(list(doubts.items())).problems
 
 
 def _other_scenes(case: PlannedCase) -> list[PlannedCase]:
-    """The variations of a case whose regions are others."""
+    """The variations of a case with other regions."""
     found = {repr(part.study.regions): part for part in case.parts}
     del found[repr(case.study.regions)]
     return list(found.values())[:MOST_SCENES]
 
 
 def scene_of(plan: Plan, case: PlannedCase) -> Scene:
-    """A case's scene on its mesh, which is made however long that takes. Raises StudyError."""
+    """A case's scene on its mesh, which is made even if that takes long. Raises StudyError."""
     mesh = _mesh(plan, case, most=math.inf)
     assert mesh is not None
     return _scene(plan, case, mesh)
 
 
 def _mesh(plan: Plan, case: PlannedCase, most: float = MOST_NODES) -> Mesh | None:
-    """The case's mesh; None where it is not there and would take long."""
+    """The case's mesh; None if it is missing and would take long."""
     planned = plan.meshes[case.mesh]
     mesh = read_mesh(planned.path)
     if mesh is None and planned.size.nodes <= most:
@@ -216,7 +216,7 @@ def _mesh(plan: Plan, case: PlannedCase, most: float = MOST_NODES) -> Mesh | Non
             mesh = build_mesh(planned.geometry, volume=planned.volume)
         except MeshError as error:
             raise geometry_error(plan.study, error) from error
-        with suppress(OSError):  # a study can be checked where nothing can be written
+        with suppress(OSError):  # a study can be checked in a read-only directory
             write_mesh(planned.path, mesh)
     return mesh
 
@@ -248,7 +248,7 @@ def _doubts(case: PlannedCase, scene: Scene) -> list[Finding]:
 
 
 def _touching(case: PlannedCase, scene: Scene) -> Iterator[Finding]:
-    """Which surface models will refuse inclusions that touch."""
+    """Surface models that will refuse touching inclusions."""
     study = case.study
     knowing = [
         name

@@ -1,4 +1,4 @@
-"""A result of another program judged like a model of the study: the same measures, the same page."""
+"""Judges a result of another program like a model of the study, with the same measures and page."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ NO_STEP = Status("not-given", "the file holds the largest load only", "")
 
 
 def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> Run:
-    """A run of one case with another program's result at the largest load beside its models.
+    """A run of one case, with another program's result at the largest load beside its models.
 
     Parameters
     ----------
     study : of the case
     mesh : its mesh
-    name : of the program, which no model of the run has
+    name : of the program, unlike any model of the run
     """
     (case,) = run.cases
     result = _as_result(case, mesh, foreign)
@@ -44,7 +44,7 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
             numerical={name: own.numerical[name], **measurement.numerical},
         )
     metrics = compare(scene.surface, results, scene.load_factors, case.reference)[name]
-    if own is not None:  # the reference has been held against it already
+    if own is not None:  # the reference is compared with the measurement already
         metrics = compare(scene.surface, {name: result}, scene.load_factors, None, own)[name] | metrics
     with_it = dataclasses.replace(
         case,
@@ -54,11 +54,11 @@ def judged(run: Run, study: Study, mesh: Mesh, name: str, foreign: Foreign) -> R
     )
     about = run.study.study.model_copy(update={"models": (name, *run.study.study.models)})
     study = run.study.model_copy(update={"study": about})
-    return dataclasses.replace(run, study=study, cases=[with_it], told=None)  # which is of the study alone
+    return dataclasses.replace(run, study=study, cases=[with_it], told=None)  # it lacks the other program
 
 
 def _as_result(case: CaseResult, mesh: Mesh, foreign: Foreign) -> ModelResult:
-    """The file's state as a load history in which only the largest load was solved; its cost is not known."""
+    """The file's state as a load history with only the largest load solved, at unknown cost."""
     status = [NO_STEP] * len(case.load_factors)
     status[case.full_load] = CONVERGED
     result = unanswered(status, len(mesh.surface_points), "")

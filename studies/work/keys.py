@@ -1,12 +1,13 @@
-"""Content keys: what has the same key is the same work, done once within a case, a study, and between studies.
+"""Content keys: equal keys are equal work, done once within a case, a study, and between studies.
 
 mesh      geometry, size, whether tetrahedra are needed              (`vdmbench.study.shapes`)
 body      model, mesh level, tissue, supports, parameters: one set-up
-answer    body and what acts on it: a load step up to a factor where answers superpose, else one load path
+answer    body and load: one load step up to a factor if answers superpose, else one load path
 case      all inputs, mesh, the version of each model
 
-Keys are whole by construction: a field of the schema enters all of them, unless it is marked there (`Enters`).
-Of some tables a set-up's key has what its model reads alone, as the models and the kinds of constraints declare.
+Keys are complete by construction: a field of the schema enters all of them, unless it is marked there (`Enters`).
+From some tables a set-up's key includes only the keys that its model reads, as declared by models and kinds of
+constraints.
 """
 
 from __future__ import annotations
@@ -24,21 +25,21 @@ from ..study.loads import KINDS, VERSION
 from ..study.registry import lacks
 from ..study.schema import Study, extras_for, extras_of, has_weight
 
-_FORMAT = 4  # of the files of answers: raised with what is in them
-_DIGITS = 12  # of a load beside others: less is rounding
-_OF_MODELS = ("models", "reference", "homogeneous")  # of [study], which a key of one model has otherwise
+_FORMAT = 4  # of the answers' files; raised when their content changes
+_DIGITS = 12  # of a load relative to others: further digits are rounding
+_OF_MODELS = ("models", "reference", "homogeneous")  # of [study]; they enter a model's key in another form
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What a case takes of one model on one mesh level.
+    """The answers of one model on one mesh level that a case needs.
 
     Attributes
     ----------
     name, level : the model; 0 for the case's own mesh, 1 for its first refinement and so on
     body : key of the set-up
-    answers : keys: one per load step where answers superpose, else one for the whole load path
-    scales : how much of its answer each step is; () for a path
+    answers : keys: one per load step if answers superpose, else one for the whole load path
+    scales : factor of each step on its answer; () for a path
     """
 
     name: str
@@ -49,7 +50,7 @@ class Wanted:
 
 
 def case_hash(study: Study, mesh_key: str) -> str:
-    """SHA-256 (hex) over what decides a case's numbers: inputs, mesh, and each model's declared version."""
+    """SHA-256 (hex) over all that decides a case's numbers: inputs, mesh, and each model's declared version."""
     return _digest(
         {
             "inputs": study.without(case_inputs(study), Enters.MESH),
@@ -61,7 +62,7 @@ def case_hash(study: Study, mesh_key: str) -> str:
 
 
 def wanted(study: Study, mesh_key: str) -> list[Wanted]:
-    """What a case takes: every model on its own mesh, and the reference on the finer levels."""
+    """The answers that a case needs: every model on its own mesh, and the reference on finer levels."""
     inputs = case_inputs(study)
     levels = study.uncertainty.levels if study.uncertainty else 1
     setup = study.without(inputs, Enters.MESH, Enters.CASE)
@@ -83,7 +84,7 @@ def _wanted(study: Study, steps: Sequence[Mapping[str, float]], name: str, level
     sized = [direction(step) for step in steps]
     acting = next(
         (load for load, scale in sized if scale), sized[0][0]
-    )  # no load is no times whichever there is
+    )  # a step without load is zero times any load
     return Wanted(
         name,
         level,
@@ -94,12 +95,12 @@ def _wanted(study: Study, steps: Sequence[Mapping[str, float]], name: str, level
 
 
 def level_key(mesh_key: str, level: int) -> str:
-    """Key of a mesh refined so many times."""
+    """Key of a mesh refined `level` times."""
     return f"{mesh_key}-{level}" if level else mesh_key
 
 
 def load_steps(study: Study, inputs: Mapping[str, Any]) -> list[dict[str, float]]:
-    """Of each load step what acts: load of size 1 -> how much of it; the weight, which does not scale, with it.
+    """The loads of each step: load of size 1 -> its factor; the weight, which does not scale, is included.
 
     `inputs` are the study's `case_inputs`.
     """
@@ -109,12 +110,12 @@ def load_steps(study: Study, inputs: Mapping[str, Any]) -> list[dict[str, float]
 
 
 def direction(step: Mapping[str, float]) -> tuple[dict[str, float], float]:
-    """A load step up to a factor, and the factor; a step in which a weight acts as it is."""
+    """A load step up to a factor, and the factor; a step with weight as it is, with factor 1."""
     acting = {unit: value for unit, value in step.items() if value}
     if "weight" in acting:
         return acting, 1.0
     scale = max(acting.values(), key=abs, default=0.0)
-    # 0.0 is added because -0.0 is written otherwise
+    # 0.0 is added because -0.0 would be written differently
     return {unit: float(f"{value / scale:.{_DIGITS}g}") + 0.0 for unit, value in acting.items()}, scale
 
 
@@ -125,7 +126,7 @@ def has_penalty(study: Study, name: str) -> bool:
 
 
 def _read_by(name: str, study: Study, inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """What a model's set-up reads of tables that it does not read whole; None where nothing."""
+    """The keys that a model's set-up reads from tables that it reads in part; None for no key of a table."""
     model, solver = models.find(name)
     weighs = has_weight(study)
     tissue = (*model.tissue, "density") if weighs else model.tissue
@@ -145,7 +146,7 @@ def _read_by(name: str, study: Study, inputs: Mapping[str, Any]) -> dict[str, An
         "environment": None if model.volumetric else inputs.get("environment"),
         "inclusions": None if name in study.study.homogeneous else inputs.get("inclusions"),
         "touched": _touched(inputs) if model.contact_in_setup else None,
-        "lacks": lacks(name, extras_for(name, study)),  # a stored refusal ends when the model learns
+        "lacks": lacks(name, extras_for(name, study)),  # a stored refusal ends when the model takes more
         **dict.fromkeys(("models", "regions", "load")),
     }
 
@@ -158,7 +159,7 @@ def _held(constraint: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str,
 
 
 def _touched(inputs: Mapping[str, Any]) -> list[tuple[str, float]]:
-    """Where there is contact, and one motion of held nodes up to a factor."""
+    """The places of contact, and one motion of held nodes up to a factor."""
     loads = _unit_loads(inputs)
     moved = {unit: value for unit, value in loads.items() if KINDS[unit.partition(" ")[0]].holds}
     largest = max(moved.values(), key=abs, default=0.0) or 1.0
@@ -166,7 +167,7 @@ def _touched(inputs: Mapping[str, Any]) -> list[tuple[str, float]]:
 
 
 def _unit_loads(inputs: Mapping[str, Any]) -> dict[str, float]:
-    """Load of size 1 -> how much of it acts at load factor 1, component by component, the weight apart."""
+    """Load of size 1 -> its factor at load factor 1, by components, without the weight."""
     out: dict[str, float] = {}
     for constraint in inputs["constraints"]:
         loads = KINDS[constraint["kind"]].loads

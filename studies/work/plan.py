@@ -1,4 +1,4 @@
-"""From a study to the work it needs: cases, the meshes they share, and what is already there."""
+"""From a study to the work that it needs: cases, shared meshes, and existing files."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from .keys import Wanted, case_hash, wanted
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedCase(ResolvedCase):
-    """One case and what it needs, worked out when it is asked for. Cases with the same hash are the same work."""
+    """One case and its needs, which are computed on demand. Cases with equal hashes are the same work."""
 
     hash: str
     mesh: str  # key of its mesh
-    values: Mapping[str, float] = field(default_factory=dict)  # of a variation of its inputs: key -> value
+    values: Mapping[str, float] = field(default_factory=dict)  # inputs of a variation: key -> value
 
     def as_json(self) -> dict[str, Any]:
-        """The case as a worker is told it, who reads it back by `vdmbench.store.plain.typed`."""
+        """The case as plain JSON for a worker; `vdmbench.store.plain.typed` reads it back."""
         return plain(self, without=("study",)) | {"study": resolved(self.study)}
 
     @cached_property
     def wanted(self) -> tuple[Wanted, ...]:
-        """What it takes of every model, and of the reference on every level."""
+        """The needed answers of every model, and of the reference on every level."""
         return tuple(wanted(self.study, self.mesh))
 
     @cached_property
     def variations(self) -> tuple[PlannedCase, ...]:
-        """Where its inputs are not known: other values of them."""
+        """The case with other values of its uncertain inputs, if any."""
         if self.study.inputs is None or self.values:
             return ()
         found = []
@@ -63,7 +63,7 @@ class PlannedCase(ResolvedCase):
         return [self, *self.variations]
 
     def want(self, name: str) -> Wanted:
-        """What it takes of one model on its own mesh."""
+        """The needed answers of one model on its own mesh."""
         return next(want for want in self.wanted if (want.name, want.level) == (name, 0))
 
 
@@ -74,12 +74,12 @@ class PlannedMesh:
     key: str
     geometry: Geometry
     volume: bool
-    path: Path  # where the cache keeps it
-    file_hash: str = ""  # SHA-256 of the file that the body is from; "" of a built-in shape
+    path: Path  # in the cache
+    file_hash: str = ""  # SHA-256 of the body's file; "" for a built-in shape
 
     @property
     def label(self) -> str:
-        """What to call it: by its file or shape, and the size of its elements where it is made to one."""
+        """A name for messages: file or shape, and the element size if it is meshed to one."""
         geometry = self.geometry
         name = geometry.path.name if isinstance(geometry, FileBody) else geometry.shape
         if not geometry.has_own_tetrahedra:
@@ -88,12 +88,12 @@ class PlannedMesh:
 
     @cached_property
     def size(self) -> Size:
-        """What it is, or about what it will be; a file is read for it, and checked on the way.
+        """Its size, or the expected one; a body's file is read and checked for it.
 
         Raises
         ------
         MeshError
-            a file that cannot be used.
+            an unusable file.
         """
         geometry = self.geometry
         mesh = read_mesh(self.path)
@@ -116,58 +116,58 @@ class PlannedMesh:
 
 @dataclass(frozen=True)
 class Plan:
-    """All the work of a study; `fresh`: every case runs, and nothing that is stored is used, the meshes apart."""
+    """All the work of a study; if `fresh`, every case runs, and only meshes are used from the cache."""
 
     study: Study
     cases: tuple[PlannedCase, ...]
     meshes: Mapping[str, PlannedMesh]
     directory: Path
     cache: Path
-    command: tuple[str, ...] = ()  # of vdmbench, that runs it again; () where none was given
+    command: tuple[str, ...] = ()  # arguments of vdmbench that repeat it; () if unknown
     fresh: bool = False
 
     @cached_property
     def state(self) -> dict[str, str]:
         """Case hash -> "done", "failed", "damaged" or "missing"."""
-        from ..store.cases import case_state  # HDF5 is slow to load, and a check asks for no results
+        from ..store.cases import case_state  # HDF5 is slow to load, and not needed for a check
 
         return {case.hash: case_state(self.directory, case.hash, case.label) for case in self.cases}
 
     @cached_property
     def in_order(self) -> list[PlannedCase]:
-        """Each hash once."""
+        """The cases, each hash once."""
         return list({case.hash: case for case in self.cases}.values())
 
     def is_done(self, case: PlannedCase) -> bool:
-        """Whether a case's file is there, and its results may be used."""
+        """Whether a case's file exists and may be used."""
         return not self.fresh and self.state[case.hash] == "done"
 
     def cases_to_run(self, shard: tuple[int, int] = (1, 1)) -> list[PlannedCase]:
-        """The cases not done; of `shard` (i, n) those in the i-th of n parts of equal size."""
+        """The unfinished cases; of `shard` (i, n) those in the i-th of n equal parts."""
         return [case for case in self.in_shard(shard) if not self.is_done(case)]
 
     def in_shard(self, shard: tuple[int, int]) -> list[PlannedCase]:
-        """The cases in the i-th of n parts of equal size, by `shard` (i, n)."""
+        """The cases in the i-th of n equal parts, by `shard` (i, n)."""
         number, parts = shard
         first, end = (len(self.in_order) * k // parts for k in (number - 1, number))
         return self.in_order[first:end]
 
     def has(self, path: Path) -> bool:
-        """Whether the cache has a file that may be used."""
+        """Whether a file is in the cache and may be used."""
         return not self.fresh and self.is_sound(path)
 
     @cached_property
     def is_sound(self) -> Callable[[Path], bool]:
-        """`is_sound`, which reads a file, of each file once: many cases share one, and a plan is of one moment."""
+        """`is_sound` with its results remembered: many cases share a file, and a plan is of one moment."""
         return cache(is_sound)
 
     def missing_meshes(self, cases: Sequence[PlannedCase]) -> list[PlannedMesh]:
-        """The meshes that these cases need and the cache does not hold."""
+        """The meshes that these cases need and the cache lacks."""
         keys = dict.fromkeys(case.mesh for case in cases)
         return [self.meshes[key] for key in keys if not self.is_sound(self.meshes[key].path)]
 
     def case_file(self, case: PlannedCase) -> Path:
-        """Where the case is kept once it is done."""
+        """Path of the finished case."""
         from ..store.run_directory import case_path
 
         return case_path(self.directory, case.hash, case.label)
@@ -181,16 +181,16 @@ def make_plan(
     *,
     fresh: bool = False,
 ) -> Plan:
-    """Work out what all cases of a study need, in results/runs/NAME by default. Meshes nothing.
+    """Work out the needs of all cases of a study, by default in results/runs/NAME, without meshing.
 
     Raises
     ------
     StudyError
-        a geometry that cannot be meshed as asked, found without meshing.
+        a geometry that cannot be meshed as asked, as far as is known without meshing.
     """
     directory = directory or results_directory() / "runs" / study.study.name
     cache = cache or cache_directory()
-    found: dict[str, PlannedMesh] = {}  # by what is asked for: a file is read for its key, once for all cases
+    found: dict[str, PlannedMesh] = {}  # by geometry: a file is read once for the key of all cases
     planned = []
     for case in expand(study):
         geometry, volume = case.study.geometry, needs_volume(case.study)
@@ -207,7 +207,7 @@ def make_plan(
 
 
 def _planned_mesh(geometry: Geometry, volume: bool, cache: Path) -> PlannedMesh:
-    if isinstance(geometry, Shape):  # the size of a file is known only once it is read
+    if isinstance(geometry, Shape):  # the size of a file is not known before reading it
         area, inside = geometry.area_and_volume()
         check_node_budget(area, inside if volume else 0.0, geometry.mesh_size)
     file_hash = file_digest(geometry.path) if isinstance(geometry, FileBody) else ""
@@ -216,7 +216,7 @@ def _planned_mesh(geometry: Geometry, volume: bool, cache: Path) -> PlannedMesh:
 
 
 def needs_volume(study: Study) -> bool:
-    """Whether any model of a study needs tetrahedra, which inclusions are made of too."""
+    """Whether any model of a study needs tetrahedra, or an inclusion does."""
     found = {name: models.find(name)[0] for name in study.study.models}
     knowing = study.inclusions and {
         name for name, model in found.items() if "inclusions" in model.takes

@@ -1,12 +1,12 @@
-"""One pool: does tasks, each as soon as those that it needs are done, in processes here or on a cluster.
+"""The pool: does tasks, each as soon as its needs are met, in processes here or on a cluster.
 
-A task that fails costs what needs it, and nothing else. A process that dies costs the task that it was at, which is
-tried again, `ATTEMPTS` times in all.
+If a task fails, only tasks that need it fail too. If a process dies, its task is tried again, `ATTEMPTS` times in
+all.
 
-Here a thread of each worker process hands it one task after the other, by a pipe of their own. The workers are
-forked from a clean server process that has loaded the libraries, and end with the program that started them.
-Pebble's pool waits for ever for a task whose worker ends with exit code 0, or dies before it said that it began
-(5.2.3), so this is ours.
+Locally a thread for each worker process sends it one task after the other through a pipe. The workers are forked
+from a clean server process that has loaded the libraries, and end with the program that started them. Pebble's
+pool (5.2.3) is not used: it waits forever for a task whose worker exits with code 0, or dies before it reports
+that it began.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from .tasks import Task
 from .worker import MORE_MEMORY, OUT_OF_MEMORY, WHERE, Said, do_task
 
 ATTEMPTS = 3  # of a task whose process dies
-_LOOK = 1.0  # s between looks at what the tasks at work say of where they are
+_LOOK = 1.0  # s between looks at the progress of running tasks
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 _PRELOADED = (
     "vdmbench.work.worker",
@@ -49,16 +49,16 @@ _PRELOADED = (
 
 
 class Pool(Protocol):
-    """Where tasks are done: `LocalPool` here, `vdmbench.work.cluster.Cluster` elsewhere."""
+    """A place to do tasks: `LocalPool` here, `vdmbench.work.cluster.Cluster` elsewhere."""
 
     @property
     def count(self) -> int:
-        """How many at once."""
+        """Number of tasks at once."""
 
     def submit(self, task: str, log: Path, seconds: float | None) -> Future[str]:
-        """Do a task, given as JSON, in `seconds` at most; the future has its `Said` as JSON, whatever became of it.
+        """Do a task, given as JSON, in at most `seconds`; the future gives its `Said` as JSON, for any outcome.
 
-        "crashed" where its process died, and it may be tried again; raises through the future what ends the run.
+        "crashed" means that its process died and it may be tried again. The future raises errors that end the run.
         """
 
 
@@ -71,18 +71,18 @@ def run_tasks(
     started: Callable[[Task], None] = lambda _: None,
     where: Callable[[Task, str], None] = lambda *_: None,
 ) -> Iterator[tuple[Task, Said]]:
-    """Do all tasks, yielding what became of each as it comes.
+    """Do all tasks, yielding the outcome of each when it is there.
 
     Parameters
     ----------
-    logs : directory for what the tasks print, kept only of what fails
+    logs : directory for the output of tasks, kept only for failures
     timeout : seconds for one task
-    where : is told where a task at work is, each time that it has said something new
+    where : called with a running task and its latest progress
     """
     order = {task.id: place for place, task in enumerate(tasks)}
     sorter = TopologicalSorter({task.id: task.needs & order.keys() for task in tasks})
     sorter.prepare()
-    ready: list[int] = []  # a heap of places in `tasks`
+    ready: list[int] = []  # a heap of indices in `tasks`
     failed: dict[str, Said] = {}
     at_work: dict[Future[str], Task] = {}
     attempts: Counter[str] = Counter()
@@ -130,7 +130,7 @@ def run_tasks(
 
 
 def _said(future: Future[str], log: Path) -> Said:
-    """What became of a task; its log goes."""
+    """The outcome of a task; its log is removed."""
     printed = _read(log)
     log.unlink(missing_ok=True)
     said = Said(**json.loads(future.result()))
@@ -145,7 +145,7 @@ def _read(log: Path) -> str:
 
 
 def _last_place(log: Path) -> str:
-    """Where a task at work said last that it is; "" where it said nothing."""
+    """The latest progress of a running task; "" without any."""
     lines = re.findall(f"{WHERE}(.*)\n", _read(log))
     return lines[-1] if lines else ""
 
@@ -174,7 +174,7 @@ class LocalPool:
         try:
             if worker is None:
                 worker = self._own.worker = self._start()
-                worker.answer(None)  # that it is ready
+                worker.answer(None)  # it reports that it is ready
             return worker.ask(task, seconds)
         except (EOFError, OSError) as error:
             self._own.worker = None
@@ -198,7 +198,7 @@ class LocalPool:
             return worker.end()
 
     def close(self) -> None:
-        """Stop the workers, at work or not."""
+        """Stop the workers, idle or not."""
         with self._changes:
             self._closed = True
             for worker in self._workers:
@@ -210,7 +210,7 @@ class LocalPool:
 
 @contextlib.contextmanager
 def local_pool(jobs: int, memory: int | None = None) -> Iterator[LocalPool]:
-    """Workers on this machine, gone when the block is left."""
+    """Workers on this machine, stopped at the end of the block."""
     pool = LocalPool(jobs, memory)
     try:
         yield pool
@@ -219,7 +219,7 @@ def local_pool(jobs: int, memory: int | None = None) -> Iterator[LocalPool]:
 
 
 class _Worker:
-    """A process, and the pipe by which it gets tasks. Raises OSError, EOFError where it cannot start."""
+    """A process and the pipe for its tasks. Raises OSError or EOFError if it cannot start."""
 
     def __init__(self, do: Callable[[str], str], threads: int, memory: int) -> None:
         context = multiprocessing.get_context("forkserver")
@@ -227,13 +227,13 @@ class _Worker:
         self.pipe, theirs = context.Pipe()
         self.process: ForkServerProcess = context.Process(target=serve, args=(theirs, do, threads, memory))
         libraries = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "RAYON_NUM_THREADS": str(threads)}
-        with theirs, _environment(PYTHONSAFEPATH="1", **libraries):  # none imports from the working directory
-            resource_tracker.ensure_running()  # which lets Ctrl-C through again
-            signal.pthread_sigmask(signal.SIG_BLOCK, _OF_A_TERMINAL)  # here and in what this thread starts
+        with theirs, _environment(PYTHONSAFEPATH="1", **libraries):  # no imports from the working directory
+            resource_tracker.ensure_running()  # it unblocks Ctrl-C, so start it before
+            signal.pthread_sigmask(signal.SIG_BLOCK, _OF_A_TERMINAL)  # here and in processes of this thread
             try:
                 self.process.start()
-            except (ConnectionError, EOFError):  # the server was killed, and may not quite be gone
-                # waits until it is, so that the next start begins a new one
+            except (ConnectionError, EOFError):  # the server was killed, and may still be exiting
+                # waits for its end, so that the next start begins a new one
                 forkserver._forkserver._stop()  # type: ignore[attr-defined]
                 self.process.start()
 
@@ -243,7 +243,7 @@ class _Worker:
         return self.answer(seconds)
 
     def answer(self, seconds: float | None) -> str:
-        """What it sends next. Raises as `ask` does."""
+        """Its next message. Raises like `ask`."""
         if not wait([self.pipe, self.process.sentinel], seconds):
             self.process.kill()
             raise TimeoutError("stopped", seconds)
@@ -253,7 +253,7 @@ class _Worker:
         return answer
 
     def end(self) -> int | None:
-        """Stop it, unless it has ended by itself; its exit code."""
+        """Stop it if it still runs; returns its exit code."""
         self.process.join(1.0)
         self.process.kill()
         self.process.join()
@@ -264,7 +264,7 @@ class _Worker:
 
 
 def serve(pipe: Connection, do: Callable[[str], str], threads: int, memory: int) -> None:
-    """What a worker process does: task after task, until nobody asks any more."""
+    """Loop of a worker process: one task after the other, until the pipe closes."""
     os.environ["RAYON_NUM_THREADS"], os.environ["OMP_NUM_THREADS"] = str(threads), "1"
     threading.Thread(target=_end_with_starter, daemon=True).start()
     limit_memory(memory)
@@ -282,7 +282,7 @@ def _end_with_starter() -> None:
 
 
 def _died(code: int | None, log: str) -> Said:
-    """Of a worker that ended before it answered, with its exit code; None where it could not start."""
+    """The outcome for a worker that ended without an answer, by its exit code; None if it could not start."""
     if OUT_OF_MEMORY.search(log):
         return Said("crashed", 0.0, "out of memory", MORE_MEMORY)
     if code in (None, -signal.SIGKILL):
@@ -295,7 +295,7 @@ def _died(code: int | None, log: str) -> Said:
 
 @contextlib.contextmanager
 def _environment(**values: str) -> Iterator[None]:
-    """Environment variables for processes that are started inside."""
+    """Environment variables for processes that are started inside the block."""
     before = dict(os.environ)
     os.environ.update(values)
     try:

@@ -1,4 +1,4 @@
-"""Where a case comes from: packages, platform, source, mesh, time."""
+"""The origin of a case: packages, platform, source, mesh, time."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PACKAGES = (
 
 
 def provenance(mesh: Mesh) -> dict[str, str]:
-    """Where a case comes from: packages, platform, mesh, time."""
+    """The origin of a case: packages, platform, mesh, time."""
     return {
         **_machine(),
         "mesh_hash": mesh.content_hash,
@@ -51,17 +51,17 @@ def _machine() -> dict[str, str]:
 def _version(package: str) -> str:
     try:
         return version(package)
-    except PackageNotFoundError:  # one that can be done without
+    except PackageNotFoundError:  # an optional one
         return "not installed"
 
 
 def _commit() -> str:
-    """Of the source tree that the program runs from, "-dirty" where it was changed since."""
+    """Commit of the running source tree, with "-dirty" if it has changes."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return "not a source tree"
     try:
         asked = ["git", "-C", str(root), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
         return subprocess.run(asked, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
-    except (OSError, subprocess.SubprocessError):  # no git, or one that does not trust whose tree it is
+    except (OSError, subprocess.SubprocessError):  # no git, or git does not trust the tree's owner
         return "unknown"

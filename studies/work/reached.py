@@ -1,4 +1,4 @@
-"""Where a model fails on the way to a load step, all are asked what they answer at the load that it reached."""
+"""If a model fails on the way to a load step, all models answer at the load that it reached."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from ..study.registry import SCANNED
 from ..study.schema import Study
 from .keys import Wanted
 
-# Of a load step: down to a whole one of them where the state is not kept; a way from rest reaches it as well.
+# parts of a load step: without a stored state, a model answers at the last whole part, which a path from rest
+# also reaches
 _PARTS = 20
 
 Found = list[tuple[Wanted, ModelResult]]
@@ -30,11 +31,11 @@ Found = list[tuple[Wanted, ModelResult]]
 def at_what_was_reached(
     study: Study, scene: Scene, found: Found, meshes: Callable[[int], Hierarchy]
 ) -> tuple[Array, Found]:
-    """Places along the load history and the results there: its steps, and what models reached part of the way.
+    """Places along the load history and the results there: its steps, and the loads at which models stopped.
 
-    A model that kept the state it ended in answers with it; what others reached before, each is asked anew. One on
-    several mesh levels ends where the first of them does, beyond which its error is not known; on the case's own
-    mesh it keeps what it answered there.
+    A model that kept its last state answers with it. All others are solved again at that place. A model on
+    several mesh levels ends where the first of them does, as its error is unknown beyond; on the case's own mesh
+    it keeps its answers up to there.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def at_what_was_reached(
 
     Returns
     -------
-    places : (S + R,) see `Scene.factors_at`; R of them no whole numbers
+    places : (S + R,) see `Scene.factors_at`; R of them are not whole numbers
     found : the results at these places
     """
     steps = np.arange(1.0, len(scene.load_factors) + 1.0)
@@ -54,7 +55,7 @@ def at_what_was_reached(
         ends[want.name] = min(ends.get(want.name, end), end, key=lambda one: one[0])
     if all(math.isinf(end) for end, _ in ends.values()):
         return steps, found
-    # on the way to the first step a scanned body is no longer the scanned one
+    # on the way to the first step a scanned body differs from its scan
     least = 1.0 if SCANNED in scene.extras else 0.0
     reached = {end for end, _ in ends.values() if least < end < math.inf and end % 1.0}
     places = np.array(sorted({*steps.tolist(), *reached}))
@@ -71,7 +72,7 @@ def at_what_was_reached(
             there = meshes(want.level)
             own[k] = run_model(level_scene(study, there).at(places[k]), want.name)
             own[k] = restricted(own[k], there) if want.level else own[k]
-        # one that is asked each load for itself may answer a further one
+        # a model that solves each load separately may answer at a larger one
         for k in np.flatnonzero(lost & (between | (want.level > 0))).tolist():
             if own[k].status[0].ok:
                 own[k] = dataclasses.replace(own[k], status=(status,))
@@ -92,5 +93,5 @@ def _end(result: ModelResult) -> tuple[float, Status]:
 
 
 def _is_kept(step: ModelResult) -> bool:
-    """Whether a step that failed holds the last state on the way to it."""
+    """Whether a failed step holds the last state on the way to it."""
     return bool(np.isfinite(step.displacement).all())

@@ -1,4 +1,4 @@
-"""Runs a plan: the tasks that are missing, then the tables and the report."""
+"""Runs a plan: the missing tasks, then the tables and the report."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ Finish = Callable[[Path], tuple[Run, Path]]
 
 @dataclass(frozen=True)
 class Event:
-    """Something that a watcher of a run may want to show."""
+    """An event of a run, for a watcher."""
 
-    # "begun" with the `count` of what will be done, failed or stopped; "started"; "at": where it is, in `message`;
-    # "done"; "failed" of a case, "stopped" of what it needs; "told": a sentence, in `message`
+    # "begun", with the `count` of tasks to be done, failed or stopped; "started"; "at", with progress in `message`;
+    # "done"; "failed" for a case, "stopped" for a task that cases need; "told", with a sentence in `message`
     kind: str
     label: str
     seconds: float = 0.0
@@ -54,9 +54,9 @@ class Options:
     Attributes
     ----------
     timeout : of a case [s]
-    scheduler : address of a Dask scheduler, whose workers do the tasks; also without TLS on another machine where
-        `insecure_scheduler`
-    times : measure what frames take of every model on every mesh, as where a verdict hangs on it
+    scheduler : address of a Dask scheduler whose workers do the tasks; `insecure_scheduler` allows another
+        machine without TLS
+    times : measure frame times of every model on every mesh, as for a verdict that depends on them
     """
 
     jobs: int
@@ -70,20 +70,20 @@ class Options:
 def run_plan(
     plan: Plan, options: Options, watch: Callable[[Event], None], finish: Finish
 ) -> tuple[Run, Path]:
-    """Do what is missing of a plan, then write the tables and the report; returns the run and the report's path.
+    """Do the missing part of a plan, then write tables and report; returns the run and the report's path.
 
     Parameters
     ----------
-    finish : writes tables and report of a directory from what is stored there (`vdmbench.report.rebuild`)
+    finish : writes tables and report of a directory from its stored results (`vdmbench.report.rebuild`)
 
     Raises
     ------
     InputError
-        another run is at work in the directory, or it holds another study or something else.
+        another run is active in the directory, or it holds another study or other files.
     StudyError
         a case needs more memory than this machine can have.
     OSError
-        disk full or read-only; a cluster that is not there or does not fit.
+        disk full or read-only; a cluster that is missing or does not fit.
     """
     require_own(plan)
     plan.directory.mkdir(parents=True, exist_ok=True)
@@ -109,14 +109,14 @@ def run_plan(
                 with _pool(plan, options) as pool:
                     _run_missing(plan, tasks, options, watch, pool)
                     _time_frames(plan, cases, options, watch, pool)
-        finally:  # workers may have been killed while they wrote, by an interruption too
+        finally:  # workers may have been killed while they wrote, also by an interruption
             _tidy(plan)
         run, report = finish(plan.directory)
         return dataclasses.replace(run, plan=planned), report
 
 
 def _as_told(plan: Plan, texts: Mapping[str, bytes]) -> Run | None:
-    """The run as its report tells it, where nothing has changed since; None where that is to be made anew."""
+    """The stored summary of a run if nothing has changed since; else None."""
     run = told_run(plan.directory)
     if run is None:
         return None
@@ -130,7 +130,7 @@ def _as_told(plan: Plan, texts: Mapping[str, bytes]) -> Run | None:
 
 
 def _check_memory(plan: Plan, tasks: Sequence[Task], watch: Callable[[Event], None]) -> None:
-    """Raises StudyError where a case needs far more memory than there is; tells where it may be too much."""
+    """Raise StudyError if a case needs far more memory than there is; warn if it may be too much."""
     for _, sentence in beyond_memory(plan, tasks, 1.0):
         watch(Event("told", plan.study.study.name, message=f"warning: {sentence}"))
     if stops := beyond_memory(plan, tasks):
@@ -138,7 +138,7 @@ def _check_memory(plan: Plan, tasks: Sequence[Task], watch: Callable[[Event], No
 
 
 def _tidy(plan: Plan) -> None:
-    """Clear away what runs that were killed left half-written, here and in the shared cache."""
+    """Remove half-written files of killed runs, here and in the shared cache."""
     directories = (plan.directory, plan.directory / "cases", plan.directory / "failed")
     for directory in (*directories, *(plan.cache / kind for kind in ("meshes", "answers"))):
         clear_abandoned(directory)
@@ -146,7 +146,7 @@ def _tidy(plan: Plan) -> None:
 
 
 def _pool(plan: Plan, options: Options) -> AbstractContextManager[Pool]:
-    """What does the tasks: processes of this machine, or a cluster."""
+    """The pool for the tasks: processes of this machine, or a cluster."""
     if options.scheduler is None:
         return local_pool(options.jobs)
     from .cluster import cluster_pool
@@ -171,7 +171,7 @@ def _run_missing(
         started=lambda task: watch(Event("started", task.label)),
         where=lambda task, line: watch(Event("at", task.label, message=line)),
     ):
-        what = "done" if said.ok else "failed" if task.case else "stopped"  # whose cases say why
+        what = "done" if said.ok else "failed" if task.case else "stopped"  # its cases give the reason
         watch(Event(what, task.label, said.seconds, said.message))
         if task.case is not None and said.ok:
             failure_path(plan.directory, task.case.hash, task.case.label).unlink(missing_ok=True)
@@ -180,7 +180,7 @@ def _run_missing(
 
 
 def _decides(plan: Plan) -> bool:
-    """Whether a verdict hangs on times: those are measured anew in every run."""
+    """Whether a verdict depends on times: these are measured in every run."""
     return plan.study.acceptance.frame_time is not None and plan.study.study.reference is not None
 
 
@@ -191,7 +191,7 @@ def _time_frames(
     watch: Callable[[Event], None],
     pool: Pool,
 ) -> None:
-    """Measure what frames take, once nothing else of this run is at work; a failure costs the times alone."""
+    """Measure frame times when nothing else of this run is active; a failure loses only the times."""
     every, least = options.times or _decides(plan), LEAST_ROUNDS if _decides(plan) else 1
     asked = plan.in_shard(options.shard) if every else cases
     first = {case.mesh: case for case in reversed(asked) if plan.case_file(case).exists()}
@@ -214,9 +214,9 @@ def _time_frames(
 
 
 def _keep_failure(plan: Plan, case: PlannedCase, said: Said) -> None:
-    """A failure, with its log, takes the place of whatever result the case had before."""
+    """Store a failure with its log, in place of any earlier result of the case."""
     path = plan.case_file(case)
-    if not path.is_dir():  # which is no result, and may be why the case failed
+    if not path.is_dir():  # a directory is no result, and may be the cause of the failure
         path.unlink(missing_ok=True)
     label = case.label or plan.study.study.name
     reason = {
@@ -231,9 +231,9 @@ def _keep_failure(plan: Plan, case: PlannedCase, said: Said) -> None:
 
 @contextmanager
 def _locked(directory: Path, shard: tuple[int, int]) -> Iterator[None]:
-    """Hold the directory, or one shard's place in it, against another run; the locks go with the process.
+    """Lock the directory, or one shard's place in it, against other runs; locks end with the process.
 
-    Shards share the directory with each other, not with a run of the whole study.
+    Shards share the directory with each other, but not with a run of the whole study.
     """
     whole = shard == (1, 1)
     with ExitStack() as held:

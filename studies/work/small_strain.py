@@ -23,15 +23,15 @@ from ..scene.scene import Scene, build_scene
 from ..study.schema import Study
 
 STRAIN, LARGEST_STRAIN = "p95_principal_strain", "max_principal_strain"
-EXPECTED_LOADS = 30  # that a search tries
+EXPECTED_LOADS = 30  # of a search
 
 
 def small_strain_limits(study: Study, mesh: Mesh) -> dict[str, ModelLimits]:
     """Structural error and growth limits of every compared model of a study with [limits].
 
-    Where the study has [uncertainty], a small load and that of each limit are solved again with every tetrahedron
-    split into eight. The limits are then those of the refined mesh, and the change between the two meshes gives
-    their bars. Models without an inside stay on the case's mesh.
+    If the study has [uncertainty], a small load and that of each limit are solved again with every tetrahedron
+    split into eight. The limits are then those of the refined mesh, and the change gives their bars. Surface
+    models stay on the case's mesh.
     """
     asked, reference = study.limits, study.study.reference
     if asked is None or reference is None:
@@ -43,7 +43,7 @@ def small_strain_limits(study: Study, mesh: Mesh) -> dict[str, ModelLimits]:
         fine = LoadPath(_Evaluator(study, refined(mesh, 1), reference))
         limits = [limit for entry in found.values() for limit in entry.limits if limit.state == "found"]
         for factor in sorted({SMALL, *(limit.load for limit in limits)}):
-            fine.at(factor)  # rising: from each the reference goes on to the next
+            fine.at(factor)  # rising, so that the reference continues from each to the next
         found = {name: on_finer_mesh(entry, path, fine, name) for name, entry in found.items()}
     return found
 
@@ -71,7 +71,7 @@ class _Evaluator:
         )
 
     def _error(self, own: Scene, inside: Scene, reference: Array, name: str) -> float:
-        """On the nodes of the case's own mesh, which come first on a refined one."""
+        """Error on the nodes of the case's own mesh, which come first on a refined one."""
         result = self._answer(inside if models.find(name)[0].volumetric else own, name)
         if not _solved(result):
             return math.nan
@@ -79,9 +79,9 @@ class _Evaluator:
         return relative_l2(result.displacement[-1, :n_nodes], reference[:n_nodes], self._areas)
 
     def _answer(self, scene: Scene, name: str) -> ModelResult:
-        """One set-up answers all loads that superpose or lie on one rising path; else each has its own."""
+        """One set-up answers all loads that superpose or lie on one rising path; else each load has its own."""
         model, solver = models.find(name)
-        weighs = scene.gravity.any() and not model.volumetric  # a surface's set-up has the weight in it
+        weighs = scene.gravity.any() and not model.volumetric  # a surface model's set-up includes the weight
         if weighs or (solver not in model.superposes and model.continues is None):
             return models.run_model(scene, name)
         if name not in self._set_up:
@@ -90,7 +90,7 @@ class _Evaluator:
 
 
 class _Errors(dict[str, float]):
-    """Of models at one load, each run when it is first asked for: no search asks for all at every load."""
+    """Errors of models at one load, each computed at its first use: no search needs all at every load."""
 
     def __init__(self, run: Callable[[str], float]) -> None:
         self._run = run

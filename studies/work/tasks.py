@@ -1,4 +1,4 @@
-"""From the cases of a plan to the tasks that are not done yet: what nobody asks for has no task."""
+"""The tasks of a plan's cases that are not done yet; work that nobody needs has no task."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Task:
     Attributes
     ----------
     id : its key
-    kind : which function of `vdmbench.work.worker` does it: "mesh", "answers", "case" or "times"
-    label : what to call it
-    payload : what that function is given, plain JSON
-    needs : ids of the tasks to be done before
-    case : of "case", which
+    kind : the function of `vdmbench.work.worker` that does it: "mesh", "answers", "case" or "times"
+    label : name for messages
+    payload : input of that function, plain JSON
+    needs : ids of tasks to be done before
+    case : the case of a "case" task
     """
 
     id: str
@@ -39,14 +39,14 @@ class Task:
 
 
 def tasks_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[Task]:
-    """The tasks that these cases need and whose files are not there, each after those that it needs.
+    """The tasks that these cases need and whose files are missing, each after those that it needs.
 
-    A mesh goes with its refinements; answers with one set-up and all that the cache has not of it, a load path with
-    a set-up of its own.
+    A mesh task includes its refinements. An answers task includes one set-up and all its missing answers; a load
+    path has its own set-up.
     """
     set_ups: dict[str, Task] = {}
     made_by: dict[str, str] = {}  # answer -> the task that makes it
-    levels = dict.fromkeys((case.mesh for case in cases), 0)  # mesh -> how often it is refined
+    levels = dict.fromkeys((case.mesh for case in cases), 0)  # mesh -> number of refinements
     for case in (part for one in cases for part in one.parts):
         for want in case.wanted:
             for key, factors in _factors(case, want):
@@ -81,7 +81,7 @@ def tasks_of(plan: Plan, cases: Sequence[PlannedCase]) -> list[Task]:
 
 
 def case_payload(case: PlannedCase, plan: Plan) -> dict[str, Any]:
-    """What a task is told of a case and its mesh, plain JSON."""
+    """The payload of a case and its mesh, plain JSON."""
     mesh = plan.meshes[case.mesh]
     return {
         "cache": str(plan.cache.absolute()),
@@ -93,11 +93,11 @@ def case_payload(case: PlannedCase, plan: Plan) -> dict[str, Any]:
 
 
 def _factors(case: PlannedCase, want: Wanted) -> Iterator[tuple[str, tuple[float, ...]]]:
-    """Each answer that is wanted with the load factors of the case's scene that it is asked at."""
+    """The needed answers, each with the load factors of the case's scene for it."""
     history = case.study.load.history
     if not want.scales:
         yield want.answers[0], tuple(history)
         return
     for key, factor, scale in zip(want.answers, history, want.scales, strict=True):
-        if scale or not any(want.scales):  # a step without load is no times another
+        if scale or not any(want.scales):  # a step without load is zero times another
             yield key, (factor / scale if scale and not has_weight(case.study) else factor,)

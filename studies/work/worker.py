@@ -1,4 +1,4 @@
-"""What the tasks of a plan do, each a pure function of files under their keys, and how a process does one."""
+"""The kinds of tasks, pure functions of files under their keys, and the way a process does one."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from .case import make_case
 from .keys import level_key
 from .plan import PlannedCase
 
-# what C++, Rust, the system and its loader of libraries say where memory runs out
+# messages of C++, Rust, the system and its library loader about lack of memory
 OUT_OF_MEMORY = re.compile(
     "bad_alloc|memory allocation of|cannot allocate memory|cannot map zero-fill|failed to map segment", re.I
 )
 MORE_MEMORY = "use a coarser mesh, or fewer --jobs"
-WHERE = "where: "  # begins a line of a log that says where a solve is
+WHERE = "where: "  # prefix of a log line with the progress of a solve
 _APART = 2.0  # s between such lines
-SLOW = 20.0  # s of a set-up and a step, from which on a model is not answered again for its times alone
-TIMES_BUDGET = 5.0  # s for the times of all meshes, where not every one is asked for
+SLOW = 20.0  # s of a set-up and a step: slower models are not solved again for times alone
+TIMES_BUDGET = 5.0  # s for the times of all meshes, unless every time is requested
 
 Payload = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Said:
-    """What became of a task. `code` is "done", "input" (the user's), "error", "crashed" or "timeout"."""
+    """The outcome of a task. `code` is "done", "input" (the user's mistake), "error", "crashed" or "timeout"."""
 
     code: str
     seconds: float
@@ -64,12 +64,12 @@ class Said:
         return self.code == "done"
 
     def as_json(self) -> str:
-        """As it travels; `Said(**json.loads(...))` reads it back."""
+        """JSON text; `Said(**json.loads(...))` reads it back."""
         return json.dumps(asdict(self))
 
 
 def do_task(text: str) -> str:
-    """Do a task, given as JSON; what became of it, as JSON: an error is told, never raised."""
+    """Do a task, given as JSON; returns its outcome as JSON. Errors are reported, never raised."""
     task = json.loads(text)
     with _output_to(Path(task["log"])), reported(_tell_log()):
         start = time.perf_counter()
@@ -84,7 +84,7 @@ def do_task(text: str) -> str:
 
 
 def _mesh(payload: Payload) -> None:
-    """Put a mesh and its refinements into the cache, those that it has not."""
+    """Put a mesh and its missing refinements into the cache."""
     mesh = mesh_from_cache(*_geometry(payload), volume=payload["volume"])
     for level in range(1, payload["level"] + 1):
         path = mesh_path(Path(payload["cache"]), level_key(payload["case"]["mesh"], level))
@@ -96,7 +96,7 @@ def _mesh(payload: Payload) -> None:
 
 
 def _answers(payload: Payload) -> None:
-    """One set-up and all loads that are asked of it, each answer a file."""
+    """One set-up and all its requested loads, each answer in a file."""
     cache, level, name = Path(payload["cache"]), payload["level"], payload["name"]
     meshes = _meshes(payload, level)
     scenes = _scenes(payload["asked"], meshes)
@@ -105,13 +105,13 @@ def _answers(payload: Payload) -> None:
     result = Prepared(scenes[asked[0]["key"]], name, len(steps)).answer(steps, ends=True)
     if level:
         result = restricted(result, meshes)
-    for place, one in enumerate(asked):  # of several each is one step
+    for place, one in enumerate(asked):  # each of several is one step
         answer = result if len(asked) == 1 else steps_of(result, [place])
         write_answer(answer_path(cache, one["key"]), answer)
 
 
 def _scenes(asked: Sequence[Payload], meshes: Hierarchy) -> dict[str, Scene]:
-    """Key -> scene; one that cannot be built costs its own cases alone. Raises InputError where none can."""
+    """Key -> scene; one that cannot be built fails only its own cases. Raises InputError if none can be built."""
     scenes: dict[str, Scene] = {}
     for one in asked:
         try:
@@ -128,12 +128,12 @@ def _case(payload: Payload) -> None:
 
 
 def _times(payload: Payload) -> None:
-    """What frames take, on the first case that is done of each mesh, every model in turns; into one file.
+    """Frame times on the first finished case of each mesh, for all models in turns, into one file.
 
-    Unless `every` time is asked for, models that are slow enough to be told from one answer are left out, and so
-    are meshes for which no time is left.
+    Unless `every` time is requested, slow models are left out, whose time one answer gives, and meshes for which
+    no time is left.
     """
-    from ..models.frames import frame_times  # solvers, slow to load
+    from ..models.frames import frame_times  # loads the solvers, slow
 
     every, end = payload["every"], time.perf_counter() + TIMES_BUDGET
     rounds, budget = (5, 10.0) if every else (3, 2.0)
@@ -175,7 +175,7 @@ def _geometry(payload: Payload) -> tuple[Any, Path]:
 
 
 def _meshes(payload: Payload, level: int) -> Hierarchy:
-    """The case's mesh and its refinements up to a level; made again where the cache has lost them."""
+    """The case's mesh and its refinements up to a level; made again if the cache has lost them."""
     found = _stored_meshes(payload["cache"], payload["case"]["mesh"], level)
     if found is None:
         _stored_meshes.cache_clear()
@@ -183,7 +183,7 @@ def _meshes(payload: Payload, level: int) -> Hierarchy:
     return found
 
 
-@lru_cache(maxsize=4)  # by content keys: a process reads a mesh once, with what is remembered on it
+@lru_cache(maxsize=4)  # by content keys: a process reads a mesh once, and shares what it remembers
 def _stored_meshes(cache: str, key: str, level: int) -> Hierarchy | None:
     if level == 0:
         mesh = read_mesh(mesh_path(Path(cache), key))
@@ -213,7 +213,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
     except ValueError as error:
         traceback.print_exc()
         return "error", f"{error}", getattr(error, "remedy", "")
-    except (Exception, SystemExit) as error:  # noqa: BLE001  a worker must answer, whatever happens in it
+    except (Exception, SystemExit) as error:  # noqa: BLE001  a worker must answer in any case
         traceback.print_exc()
         remedy = "this is a bug: please report it with the log in the failed/ folder"
         return "error", f"{type(error).__name__}: {error}", remedy
@@ -221,7 +221,7 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
 
 
 def _tell_log() -> Callable[[Progress], None]:
-    """Writes where a nonlinear solve is into the log, every `_APART` s: a run shows it, a failure keeps it."""
+    """Log the progress of a nonlinear solve, every `_APART` s, for the run to show, or to keep after a failure."""
     told = time.monotonic()
 
     def tell(at: Progress) -> None:
@@ -232,7 +232,7 @@ def _tell_log() -> Callable[[Progress], None]:
         of_all = f" of {at.steps}" if at.steps else ""
         step = "load" if at.steps == 1 else f"load step {at.step + 1}{of_all}"
         line = f"{step} at {100 * at.share:.3g} %, iteration {at.iteration}, residual {at.residual:.1e}"
-        with contextlib.suppress(OSError):  # a full disk ends no solve
+        with contextlib.suppress(OSError):  # a full disk does not end a solve
             os.write(1, f"{WHERE}{line}\n".encode())
 
     return tell
@@ -240,9 +240,9 @@ def _tell_log() -> Callable[[Progress], None]:
 
 @contextlib.contextmanager
 def _output_to(log: Path) -> Iterator[None]:
-    """What the work prints, C libraries included, goes to a file, for the run to read where the work fails."""
+    """Redirect output, also of C libraries, to a file, which the run reads after a failure."""
     descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-    fcntl.flock(descriptor, fcntl.LOCK_SH)  # as long as it is written, see `clear_abandoned`
+    fcntl.flock(descriptor, fcntl.LOCK_SH)  # while it is written, see `clear_abandoned`
     os.ftruncate(descriptor, 0)
     kept = [os.dup(number) for number in (1, 2)]
     try:
@@ -251,7 +251,7 @@ def _output_to(log: Path) -> Iterator[None]:
         yield
     finally:
         for stream in (sys.stdout, sys.stderr):
-            if stream is not None:  # the run was started without
+            if stream is not None:  # it is None if the run was started without one
                 with contextlib.suppress(OSError, ValueError):
                     stream.flush()
         for number, old in zip((1, 2), kept, strict=True):
