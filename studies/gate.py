@@ -115,7 +115,7 @@ class Finding:
     why: str = ""
 
 
-# --- what a baseline holds of a run ---
+# --- the baseline of a run ---
 
 
 def baseline_of(run: Run, reason: str = "") -> Baseline:
@@ -431,7 +431,7 @@ def why_not_passed(findings: Sequence[Finding], *, allow_missing: bool = False) 
     )
 
 
-# --- what is told of it ---
+# --- findings as text ---
 
 
 def describe(finding: Finding) -> str:

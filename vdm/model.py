@@ -85,6 +85,7 @@ class Model:
     triangles : (F, 3) outward facets
     parameters : the formulation's material, or a rule that gives it for the surface; `Solution.seconds_setup`
         then includes the rule's time
+    formulation : a key of `FORMULATIONS`
     fixed, constrained : (N,) masks of nodes that are held or moved by `Load.prescribed`
     density : of the fluid [kg/m^3]
     gravity : (3,) [m/s^2], constant over the history like the environment's pressure
@@ -98,6 +99,7 @@ class Model:
     stop : of figure-8: the rule that ends an iteration, see `vdm.solvers.figure_8`; "printed" by default
     tolerance : of the iterative solvers: residual over the right-hand side
     cut : of boundary elements at large displacements: the parts of the body; None for as many as it needs
+
     Raises
     ------
     ValueError

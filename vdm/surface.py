@@ -32,6 +32,7 @@ class SurfaceMesh:
         `pyvista.PolyData.faces`, with a 3 before each
     merge : whether points at exactly the same place become one, in order of first appearance; STL readers may
         give each facet its own corners
+
     Raises
     ------
     SurfaceError

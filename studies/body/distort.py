@@ -36,7 +36,7 @@ def distorted(mesh: Mesh, *, slivers: float | None, perturbation: float | None, 
     Raises
     ------
     MeshError
-        a mesh of which no facet can be squeezed, or no shift is small enough.
+        no facet of the mesh can be squeezed, or no shift is small enough.
     """
     random = np.random.default_rng(seed)
     points = mesh.points.copy()

@@ -147,7 +147,7 @@ class Quantity:
 
     @property
     def unit(self) -> str:
-        """Of its numbers."""
+        """Unit of its numbers."""
         return "N" if self.component == FORCE else "m"
 
 

@@ -1,10 +1,10 @@
 """The error of a result from mesh levels: observed order, Richardson estimate and GCI. Pure functions.
 
 Levels are named from the finest, 0; the mesh size grows by a ratio r from each to the next. The differences of
-neighbours, d01 = f1 - f0 and d12 = f2 - f1, give the observed order p by d12 / d01 = r^p, the estimated error of
-level 0, |d01| / (r^p - 1), and its grid convergence index (GCI), a safety factor times that error (Roache 1994, doi
-10.1115/1.2910291; Celik et al. 2008, doi 10.1115/1.2960953). The behaviour of the levels decides how far the
-estimate can be trusted:
+neighbours are d01 = f1 - f0 and d12 = f2 - f1. The observed order p follows from d12 / d01 = r^p. The estimated
+error of level 0 is |d01| / (r^p - 1). Its grid convergence index (GCI) is a safety factor times that error (Roache
+1994, doi 10.1115/1.2910291; Celik et al. 2008, doi 10.1115/1.2960953). The behaviour of the levels decides how far
+the estimate can be trusted:
 
 | behaviour | is | error | factor |
 | --- | --- | --- | --- |

@@ -46,7 +46,7 @@ _ENTRIES: dict[Any, tuple[type[Table], str, str]] = {
 
 
 class _OfFile(GenerateJsonSchema):
-    """A file has no null and no titles, and a sweep may give what a table lacks, which is under `needs`."""
+    """Schema of a file: without null and titles; keys under `needs` may come from a sweep instead."""
 
     def model_schema(self, schema: core_schema.ModelSchema) -> JsonSchemaValue:
         table = schema["cls"]
@@ -89,7 +89,7 @@ class _OfFile(GenerateJsonSchema):
 
 
 def study_schema() -> Node:
-    """Every key with its help and unit. What concerns several keys it leaves to `checks`."""
+    """Every key with its help and unit. Conditions between keys are in `checks`."""
     return _schema(model_table())  # with what models declare as their own
 
 

@@ -216,7 +216,7 @@ _WANTED = {  # kind of pydantic error -> what the value must be
 class Table(BaseModel):
     """A table of a study file: unknown keys are errors, nothing is coerced, values do not change.
 
-    What it cannot take is told in sentences for whoever wrote the file, each at its place.
+    Mistakes are reported in sentences for the author of the file, each at its place.
     """
 
     model_config = ConfigDict(

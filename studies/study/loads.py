@@ -1,7 +1,7 @@
-"""What holds, moves and loads a body: [[constraints]] as typed tables, one a kind.
+"""Supports, motions and loads of a body: [[constraints]] as typed tables, one for each kind.
 
-One more is a class, here or in a file `load_NAME.py`. Its checks, what answers are shared, and what it does on a
-mesh follow from that.
+A further kind is a class, here or in a file `load_NAME.py`. Its checks, its effect on a mesh and the sharing of
+answers follow from that.
 """
 
 from __future__ import annotations

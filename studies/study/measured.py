@@ -55,8 +55,10 @@ class MeasuredFileError(ValueError):
 
 
 def read_measured(path: Path) -> dict[str, Any]:
-    """What a CSV file measured: {"points": rows}; {"surface": positions} where it has columns `deformed_x` ...;
-    {"forces": rows} where it has a column `force`.
+    """Read a CSV file of measurements.
+
+    Returns {"points": rows}; {"surface": positions} if it has columns `deformed_x` ...; {"forces": rows} if it has
+    a column `force`.
 
     Rows of points have `point` (its name), the rest position `x`, `y`, `z`, some of `displacement_x`,
     `displacement_y`, `displacement_z`, and optionally `uncertainty` and `load_factor`. A column
@@ -97,7 +99,7 @@ def _point(row: Row, file: str) -> Row:
 
 
 def read_table(path: Path, layouts: Layouts, most: int = MOST_BYTES) -> tuple[str, tuple[Row, ...]]:
-    """Which of several tables a CSV file holds, and its rows: SI values by column, and `line`, that of the file.
+    """The table that a CSV file holds, out of several, and its rows: SI values by column, and the file's `line`.
 
     A header has its unit in brackets, as in `x [mm]`; without one it is in metres or newtons. Lines that begin
     with # are skipped.

@@ -117,7 +117,7 @@ class Model:
     superposes : solvers whose answers to loads superpose
     tissue : keys of [tissue] that it reads, without the density, which all read if weight acts
     parameters : keys of [vdm] and of its own table that it reads
-    by_rule : those of them that are moduli which it takes from the tissue where a study does not set them
+    by_rule : those of these that are moduli, set from the tissue unless a study sets them
     most_nodes : solver -> largest number of surface nodes; no entry without a limit
     memory : (mesh, solver) -> approximate bytes of a set-up, for the check of a plan; None if small
     contact_in_setup : whether its set-up depends on the place of contact and the motion of the body

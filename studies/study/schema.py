@@ -1,7 +1,7 @@
 """The study file as typed tables: every key with its type, its unit and its help text beside it.
 
-All lengths, pressures and so on are floats in SI after validation. What concerns more than one key at a time is
-in `checks`; reading a file is in `config`.
+All lengths, pressures and so on are floats in SI after validation. Conditions between keys are in `checks`;
+reading a file is in `config`.
 """
 
 from __future__ import annotations

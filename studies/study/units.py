@@ -111,7 +111,7 @@ def _registry() -> Any:
 
 @lru_cache(maxsize=256)
 def _factor(text: str, unit: str) -> Decimal:
-    """What one `text` is in SI `unit`."""
+    """Factor from the unit `text` to the SI `unit`."""
     what, example = DIMENSIONS[unit]
     wrong = f'"{text}" is not a unit of {what}; write it as in "{example}"'
     if text in _COMMON[unit]:

@@ -1,8 +1,7 @@
 """Integrals over one flat facet in closed form, seen from a point: exact for every facet, slivers included.
 
-With r = y - x, d the height of the facet over x, and for each edge its direction s, the outward normal m in the
-plane, its distance t and its ends at l-, l+ along s and R-, R+ from x (Wilton et al. 1984, IEEE Trans. Antennas
-Propag. 32):
+r = y - x, and d is the height of the facet over x. Each edge has a direction s, an outward normal m in the plane, a
+distance t, and ends at l-, l+ along s and R-, R+ from x (Wilton et al. 1984, IEEE Trans. Antennas Propag. 32):
 
 `f = ln (R+ + l+) / (R- + l-)`, `int 1/r = sum t f - d omega`, `int r/r^3 = omega n - sum f m` and by parts
 `int r r/r^3 = int 1/r (I - n n) - sum (t f m m + (R+ - R-) sym(m s)) - d sum f (m n + n m) + d omega n n`,
