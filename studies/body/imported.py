@@ -97,6 +97,8 @@ def _in_metres(points: Array, geometry: FileBody) -> tuple[Array, Array, float]:
     size, factor = geometry.size, 1.0 if geometry.scale is None else geometry.scale
     if size is None:
         size = factor * extent
-        check_extent(size, "give `size`, its largest extent in metres, or `scale`, the file's unit in metres")
+        check_extent(
+            size, "give geometry.size, its largest extent, or geometry.scale, the file's unit in metres"
+        )
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0)) * (size / extent)
     return centred(points, size), centre, size / extent

@@ -51,8 +51,8 @@ def load_study(
     Parameters
     ----------
     path : the study file, TOML in UTF-8 (a byte order mark is ignored)
-    surface : a mesh file to use as the geometry; `mesh_size` and the largest extent `size` of the study are kept,
-        and its name gets that of the file as a suffix
+    surface : a mesh file to use as the geometry; `mesh_size` and the largest extent `size` of the study are kept, of a
+        study of a file all but the file; its name gets that of the file as a suffix
     changes : nested tables of changes to the study, in order (`files.merged`)
 
     Raises
@@ -69,7 +69,7 @@ def load_study(
         source = replace(source, text=tomli_w.dumps(data))
     source = replace(source, directory=path.parent.resolve())
     if surface is not None:
-        data = _with_surface(data, surface)
+        data = _with_surface(data, surface, [path for change in changes for path, _ in changed(change)])
     axes, findings = read_axes(data)
     base = first_case(data, axes)
     study, faults = validate(base, source)
@@ -178,14 +178,20 @@ def _parsed(path: Path) -> tuple[dict[str, Any], Source]:
         raise wrong("a number is too long", text.count("\n", 0, match.start()) + 1 if match else 1) from None
 
 
-def _with_surface(data: Mapping[str, Any], surface: Path) -> dict[str, Any]:
-    """The data of a study with a file as its body: a separate study, with its own run directory and baseline."""
+def _with_surface(data: Mapping[str, Any], surface: Path, asked: Sequence[Sequence[str]]) -> dict[str, Any]:
+    """The data of a study with a file as its body: a separate study, with its own run directory and baseline.
+
+    `asked` are the paths of changed keys; those of the geometry are kept.
+    """
     geometry, study = data.get("geometry"), data.get("study")
-    kept: dict[str, Any] = {"shape": "file", "path": str(surface.absolute())}
+    kept: dict[str, Any] = {}
     if isinstance(geometry, dict):
-        kept |= {key: geometry[key] for key in ("mesh_size", "size") if key in geometry}
+        is_file = geometry.get("shape") == "file"
+        own = {"mesh_size", "size", *(path[1] for path in asked if path[0] == "geometry" and len(path) > 1)}
+        kept = {key: value for key, value in geometry.items() if is_file or key in own}
         if isinstance(kept.get("size"), list):
             del kept["size"]
+    kept |= {"shape": "file", "path": str(surface.absolute())}
     if isinstance(study, dict) and is_safe_name(name := study.get("name")):
         # names of scans differ at their ends
         file = re.sub(r"[^A-Za-z0-9_.-]+", "-", surface.stem)[-MAX_NAME // 2 :]

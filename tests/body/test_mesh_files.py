@@ -196,8 +196,8 @@ def test_surfaces_that_cannot_be_meshed(tmp_path: Path, ball: Mesh) -> None:
             (points, inner_wall, r"open, in 1 place \(2 edges"),
             (hole_in_numbers, triangles, "points have coordinates that are not finite"),
             (points * 1e300, triangles, r"coordinates that are not finite numbers below 1e\+100"),
-            (points * 1000, triangles, "mixed-up unit; give `size`"),
-            (points / 1000, triangles, "mixed-up unit; give `size`"),
+            (points * 1000, triangles, "mixed-up unit; give geometry.size"),
+            (points / 1000, triangles, "mixed-up unit; give geometry.size"),
         )
     ):
         refused(write_surface(tmp_path / f"{number}.ply", moved, facets), words)
@@ -377,7 +377,7 @@ def test_tetrahedra_are_turned_and_scaled_or_refused(tmp_path: Path, ball: Mesh)
     half = tetrahedra[points[tetrahedra].mean(axis=1)[:, 2] > 0.01]
     two = np.concatenate([points, points + np.array([0, 0, 0.2])]), np.concatenate([half, half + len(points)])
     refused(written("apart", *two), "separate pieces, in 2 places|not manifold")
-    refused(written("metres", points * 1000, tetrahedra), "mixed-up unit; give `size`")
+    refused(written("metres", points * 1000, tetrahedra), "mixed-up unit; give geometry.size")
     scaled = from_file(tmp_path / "metres.vtu", size=0.1)
     assert_allclose(np.ptp(scaled.points, axis=0).max(), 0.1, rtol=1e-12, atol=0)
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from vdmbench.study import units
 from vdmbench.study.config import Study, case_inputs, expand, load_study, resolved
+from vdmbench.study.errors import StudyError
 from vdmbench.study.files import shipped_studies
 from vdmbench.study.units import DIMENSIONS, QuantityError, to_si
 
@@ -177,6 +178,12 @@ def test_a_surface_given_beside_the_study_replaces_the_geometry(tmp_path: Path) 
     assert study.study.name == expand(study)[0].study.study.name == "small-liver"
     path.write_text(path.read_text().replace('name = "small"', f'name = "{63 * "n"}"'))
     assert load_study(path, surface=surface).study.name == f"{58 * 'n'}-liver"
+    asked = load_study(path, surface=surface, changes=[{"geometry": {"size": None, "scale": 0.01}}])
+    assert resolved(asked)["geometry"] == {key: value for key, value in expected.items() if key != "size"} | {
+        "scale": 0.01
+    }
+    with pytest.raises(StudyError, match="give size or scale, not both"):
+        load_study(path, surface=surface, changes=[{"geometry": {"scale": 0.01}}])
     link = outside / "link.obj"
     link.symlink_to(surface)
     assert resolved(expand(load_study(path, surface=link))[0].study)["geometry"] == expected
