@@ -351,11 +351,17 @@ def _resting(digest: Digest) -> Advice:
 
 
 def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
+    """The closest of those whose frame with loads everywhere is in time; of one not measured, any frame."""
     limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.nan)
-    quick = [n for n in _serving(digest, surface) if math.isnan(limit) or digest.figures[n].frame <= limit]
+    known = {name: digest.figures[name] for name in _serving(digest, surface)}
+    times = {
+        name: one.everywhere if math.isfinite(one.everywhere) else one.frame for name, one in known.items()
+    }
+    quick = [name for name in known if math.isnan(limit) or times[name] <= limit]
     if not quick:
         return Advice(MOVING, "none", allowed=limit)
-    return Advice(MOVING, "closest surface", (digest.figures[_closest(digest, quick)],), allowed=limit)
+    closest = _closest(digest, quick)
+    return Advice(MOVING, "closest surface", (replace(known[closest], frame=times[closest]),), allowed=limit)
 
 
 def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
