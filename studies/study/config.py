@@ -51,8 +51,8 @@ def load_study(
     Parameters
     ----------
     path : the study file, TOML in UTF-8 (a byte order mark is ignored)
-    surface : a mesh file to use as the geometry; `mesh_size` and the largest extent `size` of the study are kept, of a
-        study of a file all but the file; its name gets that of the file as a suffix
+    surface : a mesh file to use as the geometry; `mesh_size` and the largest extent `size` of the study are kept,
+        of a study of a file all but the file; its name gets that of the file as a suffix
     changes : nested tables of changes to the study, in order (`files.merged`)
 
     Raises
