@@ -237,7 +237,7 @@ class Model:
             displacement[k], reaction_force[k], energy[k] = _results(solved)
             seconds[k] = time.perf_counter() - start
             step, found = self.solver.audited(load, solved)
-            if step is not solved:
+            if step.unknown is not solved.unknown:
                 # a frame needs no audit, unless the audit corrected it
                 displacement[k], reaction_force[k], energy[k] = _results(step)
                 seconds[k] = time.perf_counter() - start

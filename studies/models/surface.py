@@ -80,6 +80,8 @@ def _scanned(scene: Scene, name: str) -> SetUp:
         while needed != number:
             search.begin(needed)
             points, _ = rest_shape(measured, sag, points)
+            if search.stiffness_left() <= 0.0:
+                raise no_rest_shape(UNSTABLE)
             number, solver().least = solver().body.n_parts, least
             found = _set_up(model, springs, scene)
             weighed = found.solve([rest.load(0.0)])
@@ -88,8 +90,6 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             needed = solver().body.n_parts
             if needed > number:  # never fewer again
                 least = needed
-        if search.stiffness_left() <= 0.0:
-            raise no_rest_shape(UNSTABLE)
         solver().least = number
         seconds += clock() - began
         return found, np.asarray(weighed.displacement[0])
@@ -339,7 +339,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="45",
+        version="46",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
@@ -350,7 +350,7 @@ for _registered in (
     _surface(
         name="bem-sparse",
         family=Family.PEERS,
-        version="25",
+        version="26",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility", "parts"),

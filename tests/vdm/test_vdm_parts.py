@@ -1,5 +1,6 @@
 """A body of boundary elements in parts: cuts, the energy that all follows from, and a beam bent far."""
 
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -226,6 +227,39 @@ def test_a_bar_pressed_along_has_the_stiffness_that_its_load_of_buckling_leaves(
     assert isinstance(step, DeformedStep)
     assert step.balance is not None
     assert solver.body.stiffness_left(step.balance) == pytest.approx(1.0 - share, abs=0.08)
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+@pytest.mark.parametrize("share", [0.8, 1.2])
+def test_a_column_that_stays_straight_stands_up_to_the_weight_that_it_buckles_under(
+    parts: int, share: float
+) -> None:
+    """Greenhill's, 7.84 E I / L^2; few corrections find it straight beyond too, where it does not stay."""
+    points, triangles = box(counts=(12, 2, 2), size=(0.12, 0.02, 0.02))
+    weight = share * 0.653 * E * (0.02 / 0.12) ** 2 / 0.12
+    column = clamped(
+        (points, triangles), parts=parts, poisson_ratio=0.45, density=1.0, gravity=(-weight, 0, 0)
+    )
+    solution = column.solve([Load(np.zeros(len(points)))])
+    assert solution.status[0].ok == (share < 1.0)
+    assert ("that was found is not stable" in solution.status[0].message) == (share > 1.0)
+    reached = solution.scalars.get("load_factor", np.ones(1))[0]
+    assert share * reached == pytest.approx(min(share, 1.0), abs=0.1)
+
+
+def test_the_time_of_a_step_is_without_what_is_told_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a bar that is strained, so that its status is another."""
+    audited = NonlinearSolver.audited
+
+    def slow(*given: Any) -> Any:
+        time.sleep(2.0)
+        return audited(*given)
+
+    monkeypatch.setattr(NonlinearSolver, "audited", slow)
+    body = box(counts=(12, 2, 2), size=(LENGTH, SIDE, SIDE))
+    solution = clamped(body, parts=2).solve([at_tip(body[0], np.array([0.0, 0.0, -0.01]))])
+    assert "is strained by" in solution.status[0].message
+    assert solution.seconds_per_step[0] < 2.0
 
 
 def test_a_part_that_swells_as_one_costs_nothing() -> None:

@@ -59,7 +59,7 @@ MOST_AREA = 0.99
 LARGEST_STRAIN = 0.1
 # (3, 9): v @ TURNED is (3, 3) with e_k x v in column k
 TURNED = np.cross(np.eye(3)[None], np.eye(3)[:, None]).transpose(0, 2, 1).reshape(3, 9)
-KRYLOV = 30  # products with a slope that its least eigenvalue is found by
+KRYLOV = 15  # products with a slope that its least eigenvalue is found by
 SMALL_CHANGE = 1e-6  # sizes of the body, by which the slope of a state is told
 BORDER = 7  # unknowns of a part beside displacements: its pressure and what its turning adds, six
 

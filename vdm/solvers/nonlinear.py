@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -265,6 +266,10 @@ class NonlinearSolver:
         if previous is None:
             self._number, self._path, self._largest = 0, self._starts, 0.0
             self._anderson = Anderson(HISTORY)
+        return self._stepped(load)
+
+    def _stepped(self, load: Load, *, is_doubted: bool = False) -> DeformedStep:
+        """The next step; one that `is_doubted` keeps stable balances alone, not only where they took long."""
         last = self._path[-1]
         x, pressure = self._ahead(load)
         substeps, iterations, used, why, mixes = Substeps(), 0, 0, "", not self.body.has_slope
@@ -282,7 +287,8 @@ class NonlinearSolver:
                 continue
             mixes = not self.body.has_slope
             # corrections find balances beyond a limit point too, which a body does not stay in
-            if found is not None and used > HISTORY and self.body.stiffness_left(found) < 0.0:
+            looked_at = is_doubted or used > HISTORY
+            if found is not None and looked_at and self.body.stiffness_left(found) < 0.0:
                 found, why = None, UNSTABLE
             if found is None:
                 if reached == 0.0:
@@ -317,9 +323,16 @@ class NonlinearSolver:
         )
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step and what its balance on the deformed surface lacks, under the load that was reached."""
+        """The step and what its balance on the deformed surface lacks, under the load that was reached.
+
+        Where that is not stable the step, the last one, is taken anew by balances that are.
+        """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return step, Audit(np.nan)
+        if step.status.ok and copy(self.body).stiffness_left(step.balance) < 0.0:  # which keeps its slope
+            self._path = self._path[:-1]
+            step = self._stepped(load, is_doubted=True)
+        assert step.balance is not None
         problem, n = self.problem, len(step.unknown)
         displaced = problem.formulation.displacement
         load = step.balance.load
