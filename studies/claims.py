@@ -716,10 +716,15 @@ def write_points(points: DataFrame, path: Path) -> None:
 
 
 def read_points(path: Path) -> DataFrame:
-    """Read the points back. Raises OSError, and ValueError for another file."""
+    """Read the points back. Raises ValueError for a file that cannot be read, and for another one."""
     import pandas as pd
 
-    table = pd.read_csv(path, dtype={"setting": str, "model": str})
+    try:
+        table = pd.read_csv(path, dtype={"setting": str, "model": str})
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from None
+    except ValueError:  # no table at all
+        table = pd.DataFrame()
     if tuple(table.columns) != COLUMNS:
         raise ValueError(f"{path}: not a file of claims; write one with vdmbench claims --out")
     return table.fillna({"setting": "", "model": ""})

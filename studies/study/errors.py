@@ -165,9 +165,10 @@ def value_at(data: Any, loc: Loc) -> Any:
 def unknown(value: str, known: Sequence[str], what: str, *, list_all: bool = True) -> str:
     """A sentence that says that a name is unknown, with the closest known one, or all where none is close."""
     known = [name for name in known if name.isprintable() and len(name) <= _LONGEST_KEY]
-    close = difflib.get_close_matches(value[:80], known, n=1)
+    small = {name.lower(): name for name in known}
+    close = difflib.get_close_matches(value[:80].lower(), small, n=1)
     if close:
-        return f'unknown {what} {shown(value)}; did you mean "{close[0]}"?'
+        return f'unknown {what} {shown(value)}; did you mean "{small[close[0]]}"?'
     return f"unknown {what} {shown(value)}" + (f"; known: {', '.join(known) or 'none'}" if list_all else "")
 
 

@@ -123,7 +123,13 @@ def test_the_command_judges_what_is_stored(tmp_path: Path) -> None:
     assert {row["claim"] for row in rows} == set(range(1, 15))
     told = vdmbench("claims", "5", "--from", str(STORED), cwd=tmp_path).stdout
     assert DATA["claims"][4]["quote"].split(" [")[0][:40] in told
-    for wrong in (("claims", "15"), ("claims", "--from", str(ROOT / "README.md"))):
-        failed = vdmbench(*wrong, cwd=tmp_path)
+    for wrong, why in (
+        (("15",), "there is no claim 15"),
+        (("--from", str(ROOT / "README.md")), "not a file of claims"),
+        (("--from", str(ROOT / "studies/cases/quickstart.toml")), "not a file of claims"),
+        (("--from", "nowhere.csv"), "nowhere.csv: No such file"),
+    ):
+        failed = vdmbench("claims", *wrong, cwd=tmp_path)
         assert failed.returncode == 2
+        assert why in failed.stderr
         assert "Traceback" not in failed.stderr
