@@ -116,6 +116,15 @@ def test_an_error_that_keeps_its_direction_is_not_moved_by_the_reference(place: 
     assert place.turned(error, -error) == pytest.approx(2.0, rel=1e-12)
 
 
+def test_a_file_that_cannot_be_written_is_told_before_anything_is_measured(tmp_path: Path) -> None:
+    failed = vdmbench("claims", "1", "--out", ".", cwd=tmp_path)
+    assert failed.returncode == 4
+    assert failed.stderr.splitlines() == ["vdmbench: .: Is a directory"]
+    done = vdmbench("claims", "5", "--from", str(STORED), "--out", "new/points.csv", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "new/points.csv").read_text().startswith("claim,")
+
+
 def test_the_command_judges_what_is_stored(tmp_path: Path) -> None:
     done = vdmbench("claims", "--from", str(STORED), "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
