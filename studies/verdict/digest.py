@@ -23,6 +23,7 @@ from ..measures.uncertainty import reference_bar
 from ..scene.result import ModelResult
 from ..scene.warnings import MOST_DRIFT, MOST_MOVED, motion_share
 from ..study.registry import FINITE_STRAIN, REFINED, Family, family_of, split
+from ..study.schema import has_weight
 from . import palette
 from .acceptance import (
     LOST,
@@ -124,6 +125,7 @@ class Outside:
     name: str
     moved: float
     drift: float
+    weight: bool  # whether the body's weight acts, which no lower load takes away
 
 
 @dataclass(frozen=True)
@@ -364,7 +366,8 @@ class Digest:
             moved = motion_share(result.displacement[case.full_load], supports(case), extent)
             drift = abs(self.at(case, str(case.reference), DRIFT))
             if moved > MOST_MOVED or drift > MOST_DRIFT:
-                found.append(Outside(case.hash, self.case_name(case), moved, drift))
+                weight = has_weight(case.study)
+                found.append(Outside(case.hash, self.case_name(case), moved, drift, weight))
         return tuple(found)
 
     @cached_property

@@ -154,6 +154,11 @@ def test_a_sweep_is_judged_where_its_reference_is_in_range() -> None:
     assert "2 of 3 cases judged" in told(found)["notes"][0]
     all_out = verdicts(Digest(swept({MODEL: 0.01}, load=(8.0,))))
     assert (all_out["vdm-derived"].word, len(all_out.outside)) == ("not judged", 1)
+    assert told(all_out)["notes"][0].endswith('Lower the load, or take study.reference = "fem".')
+    sagging = asked(make_case({MODEL: 0.01}, load=8.0), gravity={"acceleration": [0.0, 0.0, -9.81]})
+    assert told(verdicts(Digest(make_run([sagging]))))["notes"][0].endswith(
+        'that. Take study.reference = "fem".'
+    )
     finite = verdict(swept({MODEL: 0.01}, load=(8.0,), reference="fem"))
     assert finite.word == "yes", "finite strain has no such bound"
 
