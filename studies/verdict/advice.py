@@ -341,7 +341,7 @@ def _resting(digest: Digest) -> Advice:
     for name in (CONDENSED, LINEAR):
         if name in digest.compared and math.isfinite(digest.shares(name).max(initial=0.0)):
             if digest.usual_share(name) > 1.0:
-                return Advice(RESTING, "none")
+                return _none(RESTING, digest)
             found = digest.figures[name]
             if name == LINEAR:  # whose times are not theirs
                 within = int((digest.at_full(digest.worst_states(name, of_load=True)) == WITHIN).sum())
@@ -359,7 +359,7 @@ def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
     }
     quick = [name for name in known if math.isnan(limit) or times[name] <= limit]
     if not quick:
-        return Advice(MOVING, "none", allowed=limit)
+        return _none(MOVING, digest, limit)
     closest = _closest(digest, quick)
     return Advice(MOVING, "closest surface", (replace(known[closest], frame=times[closest]),), allowed=limit)
 
@@ -368,7 +368,7 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
     """A cut makes a new body: the least set-up, and what the closest form's costs."""
     serving = _serving(digest, surface)
     if not serving:
-        return Advice(CUTTING, "none")
+        return _none(CUTTING, digest)
     first = min(serving, key=lambda name: digest.figures[name].set_up)
     names = dict.fromkeys([first, _closest(digest, serving)])
     return Advice(CUTTING, "set-up", tuple(digest.figures[name] for name in names))
@@ -393,6 +393,10 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
     if told and reference is not None and not serving:
         return Advice(EXACT, "reference", (digest.figures[reference],))
     return Advice(EXACT, "closer surface" if best in surface else "elements", (digest.figures[best],))
+
+
+def _none(interaction: str, digest: Digest, allowed: float = math.nan) -> Advice:
+    return Advice(interaction, "none" if len(digest.cases) == 1 else "none in the median", allowed=allowed)
 
 
 def _serving(digest: Digest, names: Iterable[str]) -> list[str]:

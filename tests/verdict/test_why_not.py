@@ -307,6 +307,9 @@ def test_nobody_is_told_to_take_a_model_that_is_not_within_the_limits() -> None:
     resting, moving, cutting, _ = ("".join(said("take", one)) for one in by_interaction(Digest(run)))
     none = "none of the models compared is within the limits"
     assert (resting, moving, cutting) == (none, f"{none} and answers within 1.0 ms", none)
+    half = make_case({"vdm-paper": 0.09, "fem-linear": 0.09}, reference="fem", subdivisions=0)
+    _, moving, *_ = by_interaction(Digest(make_run([dataclasses.replace(half, hash="half"), far])))
+    assert said("take", moving) == [f"{none} in the median"]
 
 
 def test_a_mesh_that_is_too_coarse_is_not_to_be_made_larger_for_its_time() -> None:
