@@ -33,7 +33,7 @@ class DeformableSurface:
 
     @classmethod
     def together(cls, bodies: Sequence[DeformableSurface]) -> DeformableSurface:
-        """Several surfaces in a row, each about its own centroid: `origin` is (N, 3), `surface` is None."""
+        """Several surfaces in a row, each about its own centroid: `origin` is (N, 3), without a `surface`."""
         joint = cls.__new__(cls)
         sizes = [len(body.rest) for body in bodies]
         before = np.cumsum(sizes) - sizes

@@ -29,9 +29,8 @@ class IncrementalModel:
 
     Parameters
     ----------
-    points, triangles, parameters, formulation, options : as in `vdm.Model`, without gravity; moduli keep their
-        values at
-        are at rest
+    points, triangles, parameters, formulation, options : as in `vdm.Model`, without gravity; moduli keep
+        their values at rest
 
     Raises
     ------

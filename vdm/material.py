@@ -81,7 +81,7 @@ class Lumps:
     def halved(self, points: Array) -> Lumps:
         """The same lumps with each facet in four, by nodes at edge middles; `points` (N, 3) are the surface's.
 
-        Unchanged where an edge has both ends on the surface.
+        The same object if any edge has both ends on the surface.
         """
         n, places = len(points), np.vstack([points, self.points])
         edges = np.sort(self.facets[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -253,7 +253,7 @@ class Parameters:
         if formulation in ISOTROPIC:
             return cls(shear_modulus=mu)
         raise ParameterError(
-            f"unknown formulation {formulation!r}; use paper, consistent, vector, boundary, sparse or mass-spring"
+            f"unknown formulation {formulation!r}; use paper, consistent, vector, bem, bem-sparse or mass-spring"
         )
 
     def anisotropic(self, surface: SurfaceMesh, fibre: ArrayLike, contrast: float) -> Parameters:

@@ -119,7 +119,7 @@ class Step(ABC):
     """One load step on N nodes, SI units; `unknown` (N, d) and `border` (m,) start the next step.
 
     Results are computed from these two when first read, and kept: a frame without reactions does not pay for
-    them. The arrays of a step are read-only.
+    them. Do not write to the arrays of a step.
     """
 
     problem: Problem = field(repr=False)

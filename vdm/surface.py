@@ -184,7 +184,7 @@ class SurfaceMesh:
 
 
 def rigid_motions(surface: SurfaceMesh, nodes: Mask) -> Array:
-    """(n, 3, 6) at `nodes` (N,): unit translations, and rotations about the centroid, over the body's radius."""
+    """(n, 3, 6) at `nodes` (N,): unit translations, and rotations about the centroid over the body's radius."""
     arms = (surface.points[nodes] - surface.points.mean(axis=0)) / surface.equivalent_radius
     motions = np.empty((len(arms), 3, 6))
     motions[:, :, :3] = np.eye(3)

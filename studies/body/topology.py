@@ -128,8 +128,8 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
     """Facets oriented away from the body, and how many were turned.
 
     Closed pieces within the outer one, and not within each other, are the walls of cavities; their facets point
-    into these. trimesh's repair of winding detects no one-sided surface, and takes pieces beside
-    the body for cavities.
+    into these. trimesh's repair of winding detects no one-sided surface, and does not tell cavities from pieces
+    beside the body.
 
     Raises MeshError for an open, non-manifold or one-sided surface, pieces beside each other, parts that touch at
     a vertex only, or no volume inside.

@@ -256,7 +256,7 @@ def all_pairs(mesh, points, rules, factors, curls, tractions, sums, laplace, dou
 
 @compiled
 def add_row(row, triangles, curls, tractions, pushed, turned):
-    """Add V_fg (m, 6: xx, yy, zz, xy, xz, yz) times P to `pushed` (3P, 3), and times M to `turned` (3N, 3)."""
+    """Write V_fg (m, 6: xx, yy, zz, xy, xz, yz) times P to `pushed` (3P, 3), and times M to `turned` (3N, 3)."""
     numbers, axes, tilts = tractions
     pushed[:] = 0.0
     turned[:] = 0.0

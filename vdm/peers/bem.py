@@ -293,7 +293,7 @@ class Swelling:
     S measures the flux `g.w` of a displacement w. Where something turns within the body, the flux differs from
     the change of the polyhedron's volume V by a term of second order. The volume replaces it. With `g.X = 3 V`:
 
-    - nu = 1/2: S keeps the flux by its null vector. `S_0 = P^T S P`, `P = I - X g^T / (3 V)`,
+    - nu = 1/2: S has no finite answer to a flux. `S_0 = P^T S P`, `P = I - X g^T / (3 V)`,
       `U = [g / 3V, S X]`, `C = [[X.S X, -1], [-1, 0]]`. Where g.w is zero nothing changes. V is kept.
     - smaller nu: `S_0 = S - S X X^T S / (X.S X)`, not negative, and `S = S_0 + b b^T / a` with
       `b = 3 V S X / (X.S X)`, `a = (3 V)^2 / (X.S X)`. X gives a uniform pressure, so that b is g, up to errors
