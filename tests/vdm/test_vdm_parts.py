@@ -14,6 +14,7 @@ from tests.vdm.vdm_shapes import box, icosphere
 from vdm import Load, Model, Parameters, SurfaceMesh
 from vdm.bending import bending_error
 from vdm.boundary.operators import surface_stiffness
+from vdm.deformed import best_rotation
 from vdm.parts.body import Parts
 from vdm.parts.caps import CutError, cap
 from vdm.parts.cut import cut, volume
@@ -358,6 +359,22 @@ def test_a_guess_bends_a_beam_as_its_theory_does(ratio: float) -> None:
     heavy = clamped(BAR, poisson_ratio=ratio, **weight).problem
     found = guessed(heavy, Load(np.zeros(len(points))))[tip].mean(axis=0)
     assert_allclose(found[2], -1e3 * SIDE**2 * LENGTH**4 / (8.0 * E * SIDE**4 / 12.0), rtol=0.06)
+
+
+def test_a_guess_follows_given_motions_however_the_body_lies() -> None:
+    points, triangles = BAR
+    tip = points[:, 0] > points[:, 0].max() - 1e-9
+    moved = np.where(tip[:, None], [0.0, 0.0, -0.2 * LENGTH], 0.0)
+    turn = best_rotation(np.array([[3.0, 1.0, -1.0], [0.0, 2.0, 1.0], [1.0, -1.0, 2.0]]))
+    found, turned = (
+        guessed(clamped(body, constrained=tip, fixed=points[:, 0] < 1e-9).problem, load)
+        for body, load in (
+            (BAR, Load(np.zeros(len(points)), prescribed=moved)),
+            ((points @ turn + 3.0, triangles), Load(np.zeros(len(points)), prescribed=moved @ turn)),
+        )
+    )
+    assert_allclose(found[tip].mean(axis=0), moved[tip][0], rtol=0.02, atol=0.01 * LENGTH)
+    assert_allclose(turned, found @ turn, rtol=0.0, atol=1e-8 * LENGTH)
 
 
 def test_a_guess_rests_on_its_springs() -> None:
