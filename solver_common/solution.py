@@ -23,6 +23,11 @@ class Status:
         """Whether the step can be used."""
         return self.code == "converged"
 
+    def telling(self, message: str, remedy: str) -> Status:
+        """The same outcome with a further message and remedy."""
+        told = zip((self.message, self.remedy), (message, remedy), strict=True)
+        return Status(self.code, *("; ".join(filter(None, both)) for both in told))
+
 
 CONVERGED = Status("converged")
 NO_REST_SHAPE = "no-rest-shape"  # status code of a scanned body without a rest shape

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from vdm.formulations.base import Formulation
@@ -61,11 +59,7 @@ def reserved(
         remedy = _finer(form, shape, "above all where walls are thin")
     else:
         return status
-    return replace(
-        status,
-        message="; ".join(filter(None, (status.message, message))),
-        remedy="; ".join(filter(None, (status.remedy, remedy))),
-    )
+    return status.telling(message, remedy)
 
 
 def _finer(form: BoundaryFormulation, error: float, where: str) -> str:

@@ -73,16 +73,27 @@ def no_rest_shape(why: str) -> SolverError:
     )
 
 
-def from_scan(solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, seconds: float) -> Solution:
+def from_scan(
+    solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, seconds: float, left: float = 0.0
+) -> Solution:
     """A solution from the rest shape as one from the scanned shape, which is (N, 3) `sag` [m] off it.
 
     Where nothing but the weight acts that is zero, not what solvers leave open, unless the step failed.
-    `seconds` [s] is what the set-up took with the search for the rest shape.
+    `seconds` [s] is what the set-up took with the search for the rest shape. What is `left`
+    open of the rest shape [m] is told.
     """
     distance = float(np.linalg.norm(sag, axis=1).max())
     rests = [status.ok and not load.acts for status, load in zip(solution.status, loads, strict=True)]
+    statuses = solution.status
+    if left > 0.0:
+        about = (
+            f"the rest shape is open by {1e3 * left:.2g} mm or more, {100 * left / distance:.2g} % of its sag"
+        )
+        told = f"{about}: it depends on where the body is cut", "give vdm.parts = 1, or take fem"
+        statuses = tuple(status.telling(*told) if status.ok else status for status in statuses)
     return dataclasses.replace(
         solution,
+        status=statuses,
         displacement=np.where(np.array(rests)[:, None, None], 0.0, solution.displacement - sag),
         seconds_setup=seconds,
         scalars={**solution.scalars, REST_DISTANCE: np.full(len(solution.status), distance)},

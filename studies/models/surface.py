@@ -110,7 +110,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             number = solver().body.n_parts
             solution = found.solve([on_rest(load) for load in loads])
             if solver().body.n_parts <= number:
-                return from_scan(solution, loads, sagged, seconds)
+                return from_scan(solution, loads, sagged, seconds, search.open)
             found, sagged = led_back(solver().body.n_parts)
 
     return SetUp(solve)
@@ -339,7 +339,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="46",
+        version="47",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),

@@ -1,6 +1,7 @@
 """A body that was scanned under its weight: its rest shape is recovered, and loads start from the scan."""
 
 import dataclasses
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -141,9 +142,9 @@ def test_a_body_is_recovered_as_its_rest_shape_is_cut(
     straight, found = models.run_model(known, "bem:nonlinear"), list[Array]()
     assert straight.scalars["parts"] == parts
 
-    def watched(solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, seconds: float) -> Solution:
+    def watched(solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, *more: float) -> Solution:
         found.append(sag)
-        return from_scan(solution, loads, sag, seconds)
+        return from_scan(solution, loads, sag, *more)
 
     monkeypatch.setattr("vdmbench.models.surface.from_scan", watched)
     scanned = Study.model_validate(weighed | {"gravity": {"acceleration": WEIGHT, "scanned": True}})
@@ -152,6 +153,29 @@ def test_a_body_is_recovered_as_its_rest_shape_is_cut(
     sag = straight.displacement[0]
     assert np.abs(sag).max() > least
     assert_allclose(found[0], sag, rtol=0, atol=1e-3 * np.abs(sag).max())
+
+
+@pytest.mark.parametrize(("parts", "told"), [(1, False), (2, True)])
+def test_a_ball_each_rest_shape_of_which_is_cut_anew_says_how_far_that_leaves_it_open(
+    parts: int, *, told: bool
+) -> None:
+    """By more than its largest sag is off."""
+    ball = STUDY | BALL | {"load": {"factors": [0.0]}, "vdm": {"parts": parts}}
+    study = Study.model_validate(ball)
+    known = build_scene(study, build_mesh(study.geometry, volume=False))
+    points = _sagged(known, "bem:nonlinear")
+    scanned = Study.model_validate(ball | {"gravity": {"acceleration": WEIGHT, "scanned": True}})
+    scan = build_scene(scanned, dataclasses.replace(known.mesh, points=points), known.regions)
+    result = models.run_model(scan, "bem:nonlinear")
+    (status,) = result.status
+    assert status.ok
+    found = re.search(r"the rest shape is open by ([\d.]+) mm or more", status.message)
+    assert (found is not None) == told
+    if found is not None:
+        off = abs(
+            result.scalars["rest_distance"][0] - np.linalg.norm(points - known.mesh.points, axis=1).max()
+        )
+        assert 0.0 < 1e3 * off < float(found[1])
 
 
 @pytest.mark.parametrize("model", ["bem:nonlinear", "fem"])

@@ -622,24 +622,15 @@ class Parts:
 
     def reserved(self, status: Status, balance: Balance) -> Status:
         """The status, with what the parts do not follow: too few of them, strain within one."""
-        told = []
         if self.n_parts < self.wanted:
             message = f"{self.wanted} parts are called for, and {self.n_parts} made"
             why = f" ({self.cut.refused})" if self.cut.refused else ""
-            told.append((message + why, "refine the surface, or use finite elements"))
+            status = status.telling(message + why, "refine the surface, or use finite elements")
         strain = max(self._strains(balance))
         if strain > LARGEST_STRAIN:
-            told.append(
-                (
-                    f"a part is strained by {100 * strain:.0f} %, and follows small strain inside",
-                    "use finite elements of finite strain where the change of shape matters",
-                )
-            )
-        for message, remedy in told:
-            status = replace(
-                status,
-                message="; ".join(filter(None, (status.message, message))),
-                remedy="; ".join(filter(None, (status.remedy, remedy))),
+            status = status.telling(
+                f"a part is strained by {100 * strain:.0f} %, and follows small strain inside",
+                "use finite elements of finite strain where the change of shape matters",
             )
         return status
 

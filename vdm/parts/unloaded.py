@@ -199,6 +199,10 @@ class Unloading:
     Parameters
     ----------
     seen : (N, 3) its surface nodes under the load [m]
+
+    Attributes
+    ----------
+    open : step from which on a cut is kept, the largest of a node [m]; 0 where the search settles without
     """
 
     def __init__(self, seen: Array, load: Load) -> None:
@@ -211,6 +215,7 @@ class Unloading:
         """Go on in this many parts, or if none in as many as the next body needs."""
         self._count, self._steps = count, (np.inf, np.inf)
         self._kept: Cut | None = None
+        self.open = 0.0
 
     def stiffness_left(self) -> float:
         """Of the body at rest that was found last, under the load; as in `Large`."""
@@ -262,7 +267,9 @@ class Unloading:
         self._body, self._balance = body, step.balance
         rest = seen + self._balance.x
         far = float(np.abs(rest - points)[:n].max())
-        if self._kept is not None or far >= self._steps[0]:
+        if self._kept is None and body.n_parts > 1 and far >= self._steps[0]:
+            self.open = float(np.linalg.norm((rest - points)[:n], axis=1).max())
+        if self.open > 0.0:
             self._kept = replace(body.cut, points=rest)
         self._steps = self._steps[1], far
         return np.asarray(rest[:n])
