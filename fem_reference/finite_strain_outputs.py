@@ -30,6 +30,7 @@ _FAILURES = {
     "inverted": "a tetrahedron would turn inside out",
     "passed": "contact lost: the indenter goes past the surface",
     "linear-solver": "the tangent system could not be solved, as where a body buckles",
+    "unstable": "the equilibrium that was found is not stable",
 }
 _TOUCHING = "push it in less far, or use a larger radius or a finer mesh where it touches"
 _REMEDY = "load the body less, or use a finer mesh where it deforms most"
@@ -80,7 +81,11 @@ class Record:
         self._converged = self.newton.rest  # last converged attempt, of any step
         # current step: number, load factor, last attempt
         self._open: tuple[int, float, Substep] | None = None
-        self._clock = clock()
+        self._clock = self._now()
+
+    def _now(self) -> float:
+        """Seconds by a clock that stands still while states are examined."""
+        return clock() - self.newton.seconds_examined
 
     def add(self, number: int, attempt: Substep) -> None:
         """Record one attempt of load step `number`."""
@@ -127,6 +132,8 @@ class Record:
         told = ENDED.format(
             _FAILURES[attempt.code], reached, number + 1, iterations, RESIDUAL.format(residual)
         )
+        if attempt.code == "unstable":
+            return Status(attempt.code, f"{told}; below it is a limit point, or the body buckles", _SNAPS)
         u = self._converged.state.displacement
         remedy = _TOUCHING if attempt.code == "passed" else _REMEDY
         touched = self.newton.touched(u, attempt.load)
@@ -173,7 +180,7 @@ class Record:
             self.states[number] = self._converged
         self._store(number, self._converged)
         self._open = None
-        now = clock()
+        now = self._now()
         self._seconds[number] = now - self._clock
         self._clock = now
 

@@ -113,11 +113,6 @@ class DirectSolver:
                 x[:, part], residual[part] = self._refine(rhs[:, part])
         return Solved(x, residual, np.zeros(rhs.shape[1], dtype=np.int64))
 
-    @property
-    def n_negative(self) -> int:
-        """Number of negative eigenvalues of the system, from the signs of its pivots (Sylvester's law)."""
-        return self._factor.inertia[1]
-
     def _factorise(self, precision: str, matrix: csc_array) -> None:
         self.precision = precision
         self.estimated_bytes = self._needed(precision)

@@ -21,8 +21,9 @@ from fem_reference.finite_strain_assembly import ElementAssembly
 from fem_reference.follower import FollowerPressure
 from fem_reference.surface_stretch import BIOT, most_compressed
 from fem_reference.system import LinearSystem, hold_components
-from fem_reference.tangent_solver import TangentSolver, TangentSystem
+from fem_reference.tangent_solver import Factors, TangentSolver, TangentSystem
 from solver_common.arrays import Array, Mask
+from solver_common.jit import clock
 from solver_common.progress import Progress, tell
 from solver_common.quadrature import facet_quadrature
 from solver_common.substeps import Substeps
@@ -36,6 +37,7 @@ _ROUNDING = 4e-15  # of a displacement gradient, with a margin
 _LEFT = 1e-3
 # a linear solve need not be more exact than the quadratic model
 _LEAST_FORCING, _MOST_FORCING = 1e-10, 1e-2
+_SYMMETRIC = 1e-12  # rounding of a tangent whose forces have an energy, relative to its largest entry
 _INVERSE_ITERATIONS, _INVERSE_TOLERANCE = 8, 1e-6  # for an eigenvalue that is reported to one digit
 
 
@@ -101,7 +103,7 @@ class Substep:
     reaction : (n_nodes, 3) force of supports and springs on the body, scaled
     external : (n_nodes, 3) applied forces, scaled
     residuals : relative residual before each Newton iteration, and after the last
-    code : "converged", or why not: "not-converged", "inverted", "linear-solver", "passed" or
+    code : "converged", or why not: "not-converged", "inverted", "linear-solver", "passed", "unstable" or
         "too-small"
     """
 
@@ -149,6 +151,7 @@ class Newton:
     cavities : (F, k) facets of the walls of fluid-filled cavities
     contact : of an indenter, while there is one
     place : current load step and number of steps, for the progress report
+    seconds_examined : time that `is_stable` took so far, no part of a load step [s]
     """
 
     system: LinearSystem
@@ -162,6 +165,7 @@ class Newton:
     cavities: Mask
     contact: RigidContact | None = None
     place: tuple[int, int] = (0, 1)
+    seconds_examined: float = 0.0
 
     def __post_init__(self) -> None:
         mesh, kept = self.system.mesh, self.system.kept
@@ -179,7 +183,9 @@ class Newton:
         state = State(nothing, np.zeros(mesh.n_pressures), np.zeros(len(self.cavities.T)))
         return Substep(0.0, unloaded, state, nothing, nothing, (0.0,), "converged")
 
-    def follow(self, state: State, start: ScaledLoad, end: ScaledLoad) -> Iterator[Substep]:
+    def follow(
+        self, state: State, start: ScaledLoad, end: ScaledLoad, *, examines: bool = True
+    ) -> Iterator[Substep]:
         """Go from one load to another, in substeps as long as convergence allows.
 
         Yields every attempt; the last one reaches load factor one or fails. An element may turn inside out at
@@ -190,6 +196,8 @@ class Newton:
         while substeps.reached < 1.0:
             reached, target = substeps.reached, substeps.target
             attempt = self.solve(state, start.towards(end, target), target, reached)
+            if examines and attempt.converged and not self.is_stable(attempt.state, attempt.load):
+                attempt = replace(attempt, state=state, code="unstable")
             yield attempt
             if attempt.converged:
                 substeps.found(len(attempt.residuals) - 1 <= _EASY)
@@ -207,6 +215,23 @@ class Newton:
         """Whether `ahead` more steps like that between two states would reduce the least volume ratio J to zero."""
         old, new = (self.assembly.least_volume_ratio(one.displacement)[0] for one in (before, state))
         return new <= ahead * (old - new)
+
+    def is_stable(self, state: State, load: ScaledLoad) -> bool:
+        """Whether an equilibrium is stable, by a direct factor; yes where the solver has none, or forces follow.
+
+        Forces of a pressure that follows the surface have an energy where the tangent is symmetric, as in a closed
+        cavity.
+        """
+        if not isinstance(self.solver.preconditioner, Factors):
+            return True
+        start, tangent = clock(), self.tangent(state, load)
+        stiffness = tangent.true.stiffness
+        lacking = abs(stiffness - stiffness.T).max() if load.pressure.any() else 0.0
+        stable = lacking > _SYMMETRIC * abs(stiffness).max() or self.solver.preconditioner.is_stable(
+            tangent.symmetric(), self.kept_volumes(state)
+        )
+        self.seconds_examined += clock() - start
+        return stable
 
     def _is_unstable(self, failed: Substep) -> bool:
         """Whether surface or tangent is unstable before a failed substep, so that shorter substeps do not help."""
@@ -327,6 +352,11 @@ class Newton:
         pushes = [self.follower.forces(x, np.outer(wall, np.ones_like(weights))) for wall in self.cavities.T]
         gradients = np.array(pushes).reshape(-1, *x.shape)
         return np.einsum("knc,nc->k", gradients, x) / 3.0, gradients
+
+    def kept_volumes(self, state: State) -> Array:
+        """(k, size) gradients of the volumes that a fluid keeps, as rows of the system."""
+        pushes = self._fluid(state.displacement)[1]
+        return np.array([self._nodal_rows(push) for push in pushes]).reshape(-1, self.system.size)
 
     def _filled(self, load: ScaledLoad, fluid: Array) -> ScaledLoad:
         """A load with the fluid's pressures on the walls of its cavities."""

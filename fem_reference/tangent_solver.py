@@ -85,6 +85,30 @@ class Factors:
             return self.make(tangent) if self.sharpen() else None
         return lambda residual: np.asarray(factor.solve(residual))
 
+    def is_stable(self, tangent: LinearSystem, fluid: Array) -> bool:
+        """Whether a symmetric tangent is stable, with `fluid` (k, size) gradients of volumes that are kept.
+
+        It then has one negative eigenvalue for each pressure and volume, and no others. What single precision finds
+        unstable is factored again in double; it counts as stable where that does not fit into memory.
+        """
+        lower = pivotable_triangle(tangent)
+        # a body of negative Poisson ratio has positive pressures
+        pressures = tangent.mesh.n_pressures if tangent.compressibility >= 0.0 else 0
+        for precision in ("float32", "float64"):
+            if self._needed(precision) > allowed_memory(self._memory_limit):
+                return True
+            try:
+                factor = self._analysis.factor(lower, precision)
+            except RuntimeError:  # a pivot is zero at this precision
+                continue
+            negative = factor.inertia[1]
+            if len(fluid):  # of the bordered matrix, by Haynsworth's formula
+                moved = fluid @ factor.solve_many(np.ascontiguousarray(fluid.T))
+                negative += int((np.linalg.eigvalsh(moved) > 0.0).sum())
+            if negative <= pressures + len(fluid):
+                return True
+        return False
+
     def sharpen(self) -> bool:
         """See `Preconditioner`."""
         needed = self._needed("float64")

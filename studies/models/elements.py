@@ -314,7 +314,7 @@ for _model in (
     ),
     _elements(
         name="fem",
-        version="13",
+        version="14",
         prepare=_finite_strain,
         memory=_finite,
         takes=_takes(_BOTH, DEAD) | {"law": _ONE, "indenter": _ONE, SCANNED: _ONE, FLUID: _ONE},

@@ -1,6 +1,8 @@
 """The finite-strain problem: tangent, invariance, exact homogeneous states, balance, load histories, failures."""
 
+import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ from fem_reference.mesh import TetMesh
 from fem_reference.newton import LoadPath
 from fem_reference.solution import Solution
 from fem_reference.surface_stretch import BIOT, most_compressed
+from fem_reference.tangent_solver import Factors
 from solver_common.progress import Progress, reported
 from tests.fem.shapes import Array, Body, assert_same, ball, cube, mapped_box
 from tests.verification.records import Verified
@@ -31,6 +34,9 @@ FIBRES = {"material": "transversely-isotropic", "fibre_direction": TILT, "contra
 @pytest.fixture(scope="module")
 def block() -> Body:
     return cube(2, distort=0.25)
+
+
+FOLLOWS = 1e-6  # a pressure under which states are not examined, so that what buckles goes on
 
 
 def _converged(solution: Solution) -> Solution:
@@ -406,7 +412,8 @@ def test_an_element_inside_out_from_rest_does_not_end_a_way_that_goes_on() -> No
     """At half of this weight the least J falls on as if it were gone before all of it, which failed at once."""
     body = mapped_box((2, 2, 4), lambda x: x)
     problem = body.finite(body.bottom, poisson_ratio=0.45, density=1.0)
-    first, *_, last = [a for _, a in problem.substeps([body.load(gravity=(0.0, 0.0, -2.0))])]
+    load = body.load(FOLLOWS * body.top, gravity=(0.0, 0.0, -2.0))
+    first, *_, last = [a for _, a in problem.substeps([load])]
     assert first.code == "inverted"
     assert last.converged
     assert last.load_factor == 1.0
@@ -417,7 +424,8 @@ def test_a_load_that_turned_an_element_inside_out_is_tried_again_before_the_way_
     body = mapped_box((2, 2, 4), lambda x: x * (1.0, 0.5, 2.0))
     top = body.surface[:, 2] == 2.0
     problem = body.finite(body.bottom | top, poisson_ratio=0.49)
-    load = body.load(prescribed=top[:, None] * np.array([0.354, 0.0, -0.59]))
+    side = body.facets_where(lambda x: x[:, 0] == 1.0)
+    load = body.load(FOLLOWS * side, prescribed=top[:, None] * np.array([0.354, 0.0, -0.59]))
     attempts = [attempt for _, attempt in problem.substeps([load])]
     failed = [one for one in attempts if one.code == "inverted"]
     assert [one.load_factor for one in failed] == [1.0, 1.0], "from rest and from a state on the way"
@@ -438,13 +446,45 @@ def test_a_pull_whose_first_tangent_cannot_be_solved_is_reached_in_shorter_steps
     assert last.load_factor == 1.0
 
 
+@pytest.mark.parametrize("poisson_ratio", [-0.3, 0.3, 0.45, 0.5])
+@pytest.mark.parametrize("share", [0.8, 1.2])
+def test_a_column_that_stays_straight_stands_up_to_the_weight_that_it_buckles_under(
+    share: float, poisson_ratio: float
+) -> None:
+    """Greenhill's, 7.84 E I / L^2, with E = L = 1: Newton's method finds it straight beyond, on this mesh."""
+    body = mapped_box((2, 2, 12), lambda x: x / (6.0, 6.0, 1.0))
+    problem = body.finite(body.bottom, poisson_ratio=poisson_ratio, density=1.0)
+    weight = share * 7.84 / 12.0 / 36.0
+    solution = problem.solve([body.load(gravity=(0.0, 0.0, -weight))])
+    (status,) = solution.status
+    assert status.ok == (share < 1.0)
+    assert share * solution.scalars["load_factor"][0] == pytest.approx(min(share, 1.05), abs=0.06)
+    if not status.ok and poisson_ratio > 0.0:
+        assert "that was found is not stable" in status.message
+        assert "the body buckles" in status.message
+
+
+def test_the_time_of_a_step_is_without_what_is_told_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    examined = Factors.is_stable
+
+    def slow(*given: Any) -> bool:
+        time.sleep(2.0)
+        return examined(*given)
+
+    monkeypatch.setattr(Factors, "is_stable", slow)
+    body = cube(2)
+    problem = body.finite(body.bottom, density=1.0)
+    solution = problem.solve([body.load(gravity=(0.0, 0.0, -0.01))])
+    assert solution.seconds_per_step[0] < 2.0 < problem._newton.seconds_examined
+
+
 @pytest.mark.parametrize(("sides", "at_the_rim"), [((2, 2, 2), False), ((4, 2, 2), True)])
 def test_what_creases_at_the_rim_of_what_is_held_is_said_to_be_there(
     sides: tuple[int, int, int], at_the_rim: bool
 ) -> None:
     body = mapped_box(sides, lambda x: x)
     problem = body.finite(body.bottom, **HEAVY)
-    (status,) = problem.solve([body.load(gravity=(0.0, 0.0, -4.0))]).status
+    (status,) = problem.solve([body.load(FOLLOWS * body.top, gravity=(0.0, 0.0, -4.0))]).status
     assert "creasing" in status.message
     assert ("at the rim of what is held" in status.message) == at_the_rim
 
