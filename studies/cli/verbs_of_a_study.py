@@ -105,6 +105,8 @@ def show_scene(options: argparse.Namespace) -> int:
     from ..report.scene_picture import Stage, scene_png
     from ..report.section_scene import outlines_of, parts_of, scene_words
 
+    if options.save and options.save.suffix.lower() != ".png":
+        raise InputError(f"--save {options.save}: the picture is a PNG; give a name that ends in .png")
     plan = plan_of(options)
     study, case = plan.study.study, _unsolved(plan, numbered_case(plan, options.case))
     words = scene_words(case, [case])

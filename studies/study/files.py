@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import tomllib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -55,6 +56,9 @@ def changes_of(text: str) -> dict[str, Any]:
                 return tomllib.loads(line)
             except tomllib.TOMLDecodeError:
                 pass
+    if ":" in key and '"' not in key:
+        quoted = re.sub(r"[^.\s]*:[^.\s]*", r'"\g<0>"', key)
+        raise InputError(f"{key}: a name with a colon needs quotes: {shlex.quote(quoted + equals + value)}")
     raise InputError(f"write KEY=VALUE, such as tissue.youngs_modulus='3 kPa', not {text!r}")
 
 

@@ -165,13 +165,16 @@ def reasons(digest: Digest, model: str) -> tuple[Reason, ...]:
 def _what_tells(shortfall: Shortfall) -> dict[str, Any]:
     """What the study has not, and may show a cause: linear elements, a small load, a second mesh of the reference.
 
-    No small load tells of a weight, which acts beside it as a whole.
+    The first two only where an error changes with the load, and elements only of a linear model. No small load
+    tells of a linear model with a weight, which acts beside it as a whole.
     """
-    digest = shortfall.digest
-    alone = LINEAR in digest.models or _refuses(LINEAR, digest)
+    digest, linear = shortfall.digest, is_linear(shortfall.model)
+    grows = shortfall.finite_strain or not linear
+    known = shortfall.elements is not None or _refuses(LINEAR, digest)
+    weighed = linear and has_weight(shortfall.case.study)
     return {
-        "elements": None if alone else LINEAR,
-        "load": shortfall.small_step is None and not has_weight(shortfall.case.study),
+        "elements": LINEAR if grows and linear and not known else None,
+        "load": grows and shortfall.small_step is None and not weighed,
         "levels": digest.coarse_reference is None,
     }
 
@@ -223,7 +226,8 @@ def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
     }
     if elements is not None:
         if shortfall.part(elements) - shortfall.part(shortfall.digest.coarse_reference) >= HALF:
-            yield Reason(SMALL_STRAIN, shortfall.errors(elements), {"elements": elements, **helps})
+            about = {"elements": elements, "itself": elements == model, **helps}
+            yield Reason(SMALL_STRAIN, shortfall.errors(elements), about)
     elif step is not None and shortfall.part(model) - shortfall.part(model, step) >= HALF:
         first = shortfall.errors(model, step)
         yield Reason(SMALL_STRAIN, shortfall.errors(model), {"first": first, **shortfall.load, **helps})

@@ -1,5 +1,6 @@
 """`--set KEY=VALUE`: a study with some of its values changed on the command line."""
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,14 @@ def test_a_value_is_toml_or_a_text(text: str, found: object) -> None:
 def test_what_is_no_change_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="write KEY=VALUE"):
         changes_of(text)
+
+
+def test_quotes_that_a_colon_needs_are_told() -> None:
+    with pytest.raises(InputError) as refused:
+        changes_of("models.bem:nonlinear.parts=8")
+    *_, remedy = shlex.split(str(refused.value))
+    assert changes_of(remedy) == {"models": {"bem:nonlinear": {"parts": 8}}}
+    assert changes_of("a.b=1:2") == {"a": {"b": "1:2"}}
 
 
 def test_an_empty_table_makes_what_is_not_there() -> None:

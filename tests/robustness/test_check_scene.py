@@ -115,6 +115,9 @@ def test_a_scene_is_drawn_before_anything_is_solved(capsys: pytest.CaptureFixtur
     assert mesh.path.exists(), "kept for the run"
     with pytest.raises(ValueError, match="--case 2: the study has 1 cases"):
         do(parse(["show", "small.toml", "--case", "2"]))
+    with pytest.raises(InputError, match=r"ends in \.png"):
+        do(parse(["show", "small.toml", "--save", "scene.xyz"]))
+    assert not Path("scene.xyz").exists()
 
 
 def test_what_it_writes_is_sound_and_told_line_by_line(capsys: pytest.CaptureFixture[str]) -> None:

@@ -167,6 +167,8 @@ def test_where_small_strain_has_ended_the_nonlinear_solver_decides_if_it_is_bett
     assert told(make_run([alone]))[SMALL_STRAIN].endswith(
         "A nonlinear solver or a lower load takes that away."
     )
+    itself = told(make_run([alone]), "fem-linear")[SMALL_STRAIN]
+    assert itself.startswith("small strain has ended: it is 11.4 % off")
     better = linear | {"vdm-vector:nonlinear": (0.01, 0.02, 0.03)}
     decided = verdicts(Digest(make_run([growing(better)])))["vdm-derived"]
     assert (decided.word, decided.model) == ("yes", "vdm-vector:nonlinear")
@@ -259,26 +261,32 @@ def test_the_references_bar_is_told_where_it_decides() -> None:
 
 
 def test_linear_elements_are_not_advised_where_they_do_not_take_the_scene() -> None:
-    far = growing({"bem:nonlinear": (0.3,) * 3}, steps=(0.8, 0.9, 1.0))
+    far = growing({"vdm-vector": (0.3,) * 3}, steps=(0.8, 0.9, 1.0))
     scanned = asked(far, gravity={"acceleration": [0.0, 0.0, -9.81], "scanned": True})
     for case, linear in ((far, True), (scanned, False)):
         run = make_run([case])
-        assert ("fem-linear" in told(run, "bem:nonlinear")[NOT_TOLD]) is linear
+        assert ("fem-linear" in told(run)[NOT_TOLD]) is linear
         (exact,) = (advice for advice in by_interaction(Digest(run)) if advice.interaction == EXACT)
         assert ("fem-linear" in " ".join(said("take", exact))) is linear
 
 
 def test_of_what_no_cause_is_seen_only_what_the_study_has_not_is_said_to_tell_more() -> None:
-    far = growing({"bem:nonlinear": (0.3,) * 3}, steps=(0.8, 0.9, 1.0))
-    weighed = asked(far, gravity={"acceleration": [0.0, 0.0, -9.81]})
-    linear = growing({"bem:nonlinear": (0.3,) * 3}, steps=(0.8, 0.9, 1.0), reference="fem-linear")
-    end = "and uncertainty.levels = 2."
-    for case, more in (
-        (far, "fem-linear among the models, a small first factor in [load] " + end),
-        (weighed, "fem-linear among the models " + end),
-        (linear, "a small first factor in [load] " + end),
-    ):
-        assert told(make_run([case]), "bem:nonlinear")[NOT_TOLD].endswith(f"More is told by {more}")
+    def shown(model: str, *, reference: str = "fem", weight: bool = False) -> str:
+        far = growing({model: (0.3,) * 3}, steps=(0.8, 0.9, 1.0), reference=reference)
+        case = asked(far, gravity={"acceleration": [0.0, 0.0, -9.81]}) if weight else far
+        return told(make_run([case]), model)[NOT_TOLD].partition("More is told by ")[2]
+
+    end = "uncertainty.levels = 2."
+    elements, load = "fem-linear among the models", "a small first factor in [load]"
+    assert shown("vdm-vector") == f"{elements}, {load} and {end}"
+    assert shown("vdm-vector", weight=True) == f"{elements} and {end}", (
+        "a weight is no smaller beside a small load"
+    )
+    # linear elements tell nothing of a nonlinear model, a small load does
+    assert shown("bem:nonlinear") == shown("bem:nonlinear", weight=True) == f"{load} and {end}"
+    assert shown("bem:nonlinear", reference="fem-linear") == f"{load} and {end}"
+    weighed = asked(growing({"bem:nonlinear": (0.3,) * 3}), gravity={"acceleration": [0.0, 0.0, -9.81]})
+    assert causes(make_run([weighed]), "bem:nonlinear").keys() == {MODEL}
 
 
 def test_a_reference_of_linear_elements_is_not_missed_among_the_models() -> None:
@@ -305,11 +313,16 @@ def test_nobody_is_told_to_take_a_model_that_is_not_within_the_limits() -> None:
     assert taken(far, 1e-3) == ["", "", "", "fem"]
     run = make_run([far], acceptance={"frame_time": 1e-3})
     resting, moving, cutting, _ = ("".join(said("take", one)) for one in by_interaction(Digest(run)))
-    none = "none of the models compared is within the limits"
-    assert (resting, moving, cutting) == (none, f"{none} and answers within 1.0 ms", none)
+    none = "no surface model is within the limits"
+    assert resting == "linear elements are not within the limits"
+    assert (moving, cutting) == (f"{none} and answers loads everywhere within 1.0 ms", none)
     half = make_case({"vdm-paper": 0.09, "fem-linear": 0.09}, reference="fem", subdivisions=0)
     _, moving, *_ = by_interaction(Digest(make_run([dataclasses.replace(half, hash="half"), far])))
     assert said("take", moving) == [f"{none} in the median"]
+    exact = by_interaction(Digest(make_run([dataclasses.replace(far, hash="far"), far])))[-1]
+    assert said("take", exact) == [
+        "fem, the reference: no other model here is within the limits in the median"
+    ]
 
 
 def test_a_mesh_that_is_too_coarse_is_not_to_be_made_larger_for_its_time() -> None:
