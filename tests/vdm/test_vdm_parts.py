@@ -248,6 +248,19 @@ def test_a_column_that_stays_straight_stands_up_to_the_weight_that_it_buckles_un
     assert share * reached == pytest.approx(min(share, 1.0), abs=0.1)
 
 
+def test_a_step_that_fails_holds_a_stable_balance_too() -> None:
+    """Of a ball on its lowest nodes under a pressure, which few corrections find unstable on its way."""
+    ball = icosphere(2, (0.05, 0.05, 0.05))
+    parameters = Parameters(shear_modulus=1e4, poisson_ratio=0.45, parts=1)
+    model = Model(*ball, parameters, formulation="bem", solver="nonlinear", fixed=ball[0][:, 2] < -0.045)
+    parts, load = model.solver, Load(np.full(len(ball[0]), 2e5))
+    assert isinstance(parts, PartsSolver)
+    step, _ = parts.audited(load, parts.step(load))
+    assert isinstance(step, DeformedStep)
+    assert step.balance is not None
+    assert parts.body.stiffness_left(step.balance) > 0.0
+
+
 def test_the_time_of_a_step_is_without_what_is_told_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a bar that is strained, so that its status is another."""
     audited = NonlinearSolver.audited

@@ -325,12 +325,12 @@ class NonlinearSolver:
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
         """The step and what its balance on the deformed surface lacks, under the load that was reached.
 
-        Where that is not stable the step, the last one, is taken anew by balances that are.
+        Where that is not stable the step, the last one, failed or not, is taken anew by balances that are.
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return step, Audit(np.nan)
-        if step.status.ok and copy(self.body).stiffness_left(step.balance) < 0.0:  # which keeps its slope
-            self._path = self._path[:-1]
+        if copy(self.body).stiffness_left(step.balance) < 0.0:  # which keeps its slope
+            self._path = self._path[:-1] if step.status.ok else self._path
             step = self._stepped(load, is_doubted=True)
         assert step.balance is not None
         problem, n = self.problem, len(step.unknown)
