@@ -87,7 +87,7 @@ def from_scan(
     statuses = solution.status
     if left > 0.0:
         about = (
-            f"the rest shape is open by {1e3 * left:.2g} mm or more, {100 * left / distance:.2g} % of its sag"
+            f"cut anew, the rest shape moves by {1e3 * left:.2g} mm, {100 * left / distance:.2g} % of its sag"
         )
         told = f"{about}: it depends on where the body is cut", "give vdm.parts = 1, or take fem"
         statuses = tuple(status.telling(*told) if status.ok else status for status in statuses)
