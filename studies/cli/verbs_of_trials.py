@@ -87,12 +87,11 @@ def try_claims(options: argparse.Namespace) -> int:
     numbers = sorted(set(options.numbers))
     if strange := [number for number in numbers if not 1 <= number <= len(claims.DATA["claims"])]:
         raise InputError(f"there is no claim {strange[0]}; they are 1 to {len(claims.DATA['claims'])}")
+    points = claims.read_points(options.points) if options.points else None
     if options.out:  # what cannot be written is told before minutes of measuring
         options.out.parent.mkdir(parents=True, exist_ok=True)
         options.out.open("a").close()
-    if options.points:
-        points = claims.read_points(options.points)
-    else:
+    if points is None:
         points = claims.measure(options.cache or cache_directory(), numbers, tell)
     if options.out:
         claims.write_points(points, options.out)

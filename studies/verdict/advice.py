@@ -166,15 +166,14 @@ def _what_tells(shortfall: Shortfall) -> dict[str, Any]:
     """What the study has not, and may show a cause: linear elements, a small load, a second mesh of the reference.
 
     The first two only where an error changes with the load, and elements only of a linear model. No small load
-    tells of a linear model with a weight, which acts beside it as a whole.
+    tells of a weight, which acts beside it as a whole.
     """
     digest, linear = shortfall.digest, is_linear(shortfall.model)
     grows = shortfall.finite_strain or not linear
     known = shortfall.elements is not None or _refuses(LINEAR, digest)
-    weighed = linear and has_weight(shortfall.case.study)
     return {
         "elements": LINEAR if grows and linear and not known else None,
-        "load": grows and shortfall.small_step is None and not weighed,
+        "load": grows and shortfall.small_step is None and not has_weight(shortfall.case.study),
         "levels": digest.coarse_reference is None,
     }
 

@@ -120,6 +120,8 @@ def test_a_file_that_cannot_be_written_is_told_before_anything_is_measured(tmp_p
     failed = vdmbench("claims", "1", "--out", ".", cwd=tmp_path)
     assert failed.returncode == 4
     assert failed.stderr.splitlines() == ["vdmbench: .: Is a directory"]
+    assert vdmbench("claims", "--from", "no.csv", "--out", "no.csv", cwd=tmp_path).returncode == 2
+    assert not (tmp_path / "no.csv").exists()
     done = vdmbench("claims", "5", "--from", str(STORED), "--out", "new/points.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "new/points.csv").read_text().startswith("claim,")

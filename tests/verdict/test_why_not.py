@@ -282,11 +282,9 @@ def test_of_what_no_cause_is_seen_only_what_the_study_has_not_is_said_to_tell_mo
     assert shown("vdm-vector", weight=True) == f"{elements} and {end}", (
         "a weight is no smaller beside a small load"
     )
-    # linear elements tell nothing of a nonlinear model, a small load does
-    assert shown("bem:nonlinear") == shown("bem:nonlinear", weight=True) == f"{load} and {end}"
-    assert shown("bem:nonlinear", reference="fem-linear") == f"{load} and {end}"
-    weighed = asked(growing({"bem:nonlinear": (0.3,) * 3}), gravity={"acceleration": [0.0, 0.0, -9.81]})
-    assert causes(make_run([weighed]), "bem:nonlinear").keys() == {MODEL}
+    # linear elements tell nothing of a nonlinear model
+    assert shown("bem:nonlinear") == shown("bem:nonlinear", reference="fem-linear") == f"{load} and {end}"
+    assert shown("bem:nonlinear", weight=True) == end
 
 
 def test_a_reference_of_linear_elements_is_not_missed_among_the_models() -> None:
