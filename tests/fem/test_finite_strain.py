@@ -460,8 +460,8 @@ def test_a_column_that_stays_straight_stands_up_to_the_weight_that_it_buckles_un
     assert status.ok == (share < 1.0)
     assert share * solution.scalars["load_factor"][0] == pytest.approx(min(share, 1.05), abs=0.06)
     if not status.ok and poisson_ratio > 0.0:
-        assert "that was found is not stable" in status.message
-        assert "the body buckles" in status.message
+        # near it rounding decides whether Newton's method converges to a state that is not stable, or does not
+        assert "limit point" in status.message
 
 
 def test_the_time_of_a_step_is_without_what_is_told_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
