@@ -1,4 +1,4 @@
-"""Pieces of a closed surface, points inside it, and facets that cut through each other."""
+"""Closed triangle surfaces: connected pieces, points inside, and facets that intersect."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _ROUNDING = 1e-12  # of the longest edge cubed
 
 
 def pieces(count: int, first: Index, second: Index) -> Index:
-    """(count,) the lowest number in each item's connected piece; `first` and `second` are the joined pairs."""
+    """(count,) the lowest number in each item's connected component; pairs `first`, `second` (P,) are joined."""
     lowest = np.arange(count)
     while True:
         ends = lowest[first], lowest[second]
@@ -30,9 +30,9 @@ def closed_pieces(triangles: Index) -> Index:
 
 
 def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
-    """(n,) solid angle of a closed surface at each place (n, 3), over the full one: 1 inside, 0 outside.
+    """(n,) solid angle of a closed surface at each place (n, 3), over 4 pi: 1 inside, 0 outside.
 
-    Van Oosterom and Strackee 1983.
+    Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983) 125.
     """
     nodes = points - points.mean(axis=0)  # near the origin, squares lose no digits
     a, b, c = nodes[triangles].transpose(1, 0, 2)
@@ -51,10 +51,10 @@ def solid_angles(places: Array, points: Array, triangles: Index) -> Array:
 
 
 def crossings(points: Array, triangles: Index, since: int = 0) -> Index:
-    """Pairs (P, 2) of facets that cut through each other; at least one of a pair has the number `since` or more.
+    """Pairs (P, 2) of facets that intersect. At least one facet of each pair has the number `since` or more.
 
-    Candidates are facets whose circumscribed balls about their centroids touch; a pair counts where an edge
-    of one passes through the other or its rim.
+    Candidates are facets whose bounding balls about their centroids touch. A pair counts if an edge of one facet
+    passes through the other or its rim.
     """
     first, second = _candidates(points, triangles, since)
     cut = np.zeros(len(first), dtype=bool)
@@ -82,9 +82,9 @@ def _candidates(points: Array, triangles: Index, since: int) -> tuple[Index, Ind
 
 
 def _segment_through_triangle(p: Array, q: Array, a: Array, b: Array, c: Array) -> Mask:
-    """Whether each segment pq passes through triangle abc or its rim from one side to the other.
+    """(n,) whether each segment pq passes through triangle abc or its rim from one side to the other.
 
-    By signs of volumes; values below rounding count as on the rim, and as in the plane.
+    Signs of volumes decide. A value below rounding counts as on the rim and as in the plane.
     """
     normal, direction = np.cross(b - a, c - a), q - p
     rounding = _ROUNDING * float(max(np.abs(direction).max(initial=0.0), np.abs(c - a).max(initial=0.0))) ** 3

@@ -1,7 +1,7 @@
-"""The 1-norm of an inverse, estimated from a few solves.
+"""Estimate of the 1-norm of an inverse from a few solves.
 
-Hager (1984) and Higham (ACM Trans. Math. Softw. 14 (1988) 381, algorithm 4.1): a lower bound, rarely more than
-three times too small. It is deterministic, without random vectors.
+Hager (1984) and Higham (ACM Trans. Math. Softw. 14 (1988) 381, algorithm 4.1). The estimate is a lower bound,
+rarely more than three times too small. It uses no random vectors.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Product = Callable[[Array], Array]
 
 
 def operator(size: int, product: Product, product_transposed: Product) -> linalg.LinearOperator:
-    """A matrix (size, size), given by its products with (size,) vectors."""
+    """A (size, size) matrix, given by its products with (size,) vectors."""
     return linalg.LinearOperator(
         (size, size),
         matvec=lambda b: product(b.reshape(-1)),
@@ -27,7 +27,7 @@ def operator(size: int, product: Product, product_transposed: Product) -> linalg
 
 
 def estimated_norm(matrix: linalg.LinearOperator) -> float:
-    """Lower bound of |M|_1. For an inverse the products are solves."""
+    """Lower bound of the 1-norm of a matrix. For an inverse, the products are solves."""
     size = matrix.shape[1]
     found = float(linalg.onenormest(matrix, t=1))
     # Higham's second guess, for matrices on which Hager's iteration fails

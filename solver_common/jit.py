@@ -1,4 +1,4 @@
-"""Loops compiled by numba, cached on disk where possible."""
+"""Loops compiled by numba and cached on disk."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ event.register("numba:compile", _compiling)  # type: ignore[no-untyped-call]
 def compiled(function: Function) -> Function:
     """The function in machine code, compiled at its first call and cached for later processes.
 
-    numba caches beside the module, or below the user's cache directory where that is not writable. Several
-    processes may write at once: each file is replaced as a whole. Without a writable place every process compiles
-    anew.
+    numba caches beside the module, or below the user's cache directory. If neither is writable, every process
+    compiles. Processes may write at the same time: each replaces a file as a whole.
     """
     options: dict[str, Any] = {"fastmath": True, "nogil": True, "error_model": "numpy"}
     try:
@@ -30,5 +29,5 @@ def compiled(function: Function) -> Function:
 
 
 def clock() -> float:
-    """`time.perf_counter` [s] without the time that numba compiles, which is spent once on a machine."""
+    """`time.perf_counter` [s], less the time that numba spent compiling, which a machine pays once."""
     return time.perf_counter() - (_compiling.duration if _compiling.done else 0.0)

@@ -13,9 +13,9 @@ class Progress(NamedTuple):
 
     Attributes
     ----------
-    step, steps : current load step, from 0, and their number; 0 where unknown
+    step, steps : current load step, from 0; number of steps, 0 if unknown
     reached : share of that step's load at which equilibrium was last found
-    share : share that is attempted now
+    share : share of the load that is attempted now
     iteration : iterations done in this attempt
     residual : relative residual after them
     """
@@ -36,7 +36,7 @@ _REPORT: ContextVar[Report | None] = ContextVar("report", default=None)
 def reported(report: Report) -> Iterator[None]:
     """Call `report` before every iteration and after the last, in this thread, inside the `with` block.
 
-    An exception that it raises ends the solve.
+    An exception that `report` raises ends the solve.
 
     Examples
     --------
@@ -51,7 +51,7 @@ def reported(report: Report) -> Iterator[None]:
 
 
 def tell(progress: Progress) -> None:
-    """Pass it to the innermost `reported`, if any."""
+    """Pass progress to the innermost `reported`, if there is one."""
     report = _REPORT.get()
     if report is not None:
         report(progress)

@@ -1,4 +1,4 @@
-"""The quadrature rule of pressures on facets."""
+"""The quadrature rule for pressures on facets."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def facet_quadrature() -> tuple[Array, Array]:
     Returns
     -------
     points : (6, 3) barycentric coordinates
-    weights : (6,) summing to one; an integral is the facet's area times the weighted sum
+    weights : (6,) with sum one; an integral is the facet's area times the weighted sum
     """
     # closed form of the two orbits: exact to rounding, not to printed digits
     root = np.sqrt(10.0)

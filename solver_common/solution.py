@@ -1,4 +1,4 @@
-"""The result of a solve, and the error where there is none."""
+"""The result of a solve, and the error that a solver raises."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from solver_common.arrays import Array
 
 @dataclass(frozen=True)
 class Status:
-    """The outcome of one load step; a failure says what happened and what to change."""
+    """The outcome of one load step: "converged" or a kind of failure, what happened, and what to change."""
 
     code: str
     message: str = ""
@@ -20,11 +20,11 @@ class Status:
 
     @property
     def ok(self) -> bool:
-        """Whether the step can be used."""
+        """Whether the step converged."""
         return self.code == "converged"
 
     def telling(self, message: str, remedy: str) -> Status:
-        """The same outcome with a further message and remedy."""
+        """The same outcome with one more message and remedy."""
         told = zip((self.message, self.remedy), (message, remedy), strict=True)
         return Status(self.code, *("; ".join(filter(None, both)) for both in told))
 
@@ -37,7 +37,7 @@ RESIDUAL = "the relative residual was {:.1e}"
 
 
 class SolverError(ValueError):
-    """The model cannot be set up or solved; carries the `Status` that says why and what to change."""
+    """The model cannot be set up or solved. `status` says why, and what to change."""
 
     def __init__(self, status: Status) -> None:
         super().__init__(f"{status.message}; {status.remedy}" if status.remedy else status.message)
@@ -45,7 +45,7 @@ class SolverError(ValueError):
 
 
 def solver_error(code: str, message: str, remedy: str = "") -> SolverError:
-    """The error of a status."""
+    """A `SolverError` with this status."""
     return SolverError(Status(code, message, remedy))
 
 
@@ -61,11 +61,11 @@ class Solution:
     energy : (S,) elastic energy [J]
     iterations : (S,) solver iterations, 0 for a direct solve
     status : S outcomes, one per step
-    seconds_setup : checks, parameters where a rule gives them, assembly and factorisation [s]
+    seconds_setup : time of checks, parameter rules, assembly and factorisation [s]
     seconds_per_step : (S,) time of each step after set-up [s]
     parameters : the material and solver parameters that were used
     scalars : further (S,) outputs by name
-    part_of_node : (N,) part of each node, from 1, on a cut the last of its parts; None for a body that is not cut
+    part_of_node : (N,) part of each node, from 1; None if the body is not cut. A node on a cut has its highest part
     """
 
     displacement: Array

@@ -1,4 +1,4 @@
-"""The rule for step lengths towards a load, shared by all stepping solvers."""
+"""The rule for substep lengths, shared by all solvers that step towards a load."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ LEAST_STEP = 2.0**-8  # of a load step
 
 
 class Substeps:
-    """Shares of the way to a load, attempted in turn: half the step after a failure, twice where it is easy.
+    """Shares of a load step that a solver attempts: half the substep after a failure, twice after an easy one.
 
     Attributes
     ----------
-    reached : share of the way [1]
+    reached : share of the load step at which equilibrium was last found [1]
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class Substeps:
 
     @property
     def target(self) -> float:
-        """The share to attempt next. A remainder too short for an attempt is included."""
+        """The share to attempt next. It includes a remainder that is too short for an attempt of its own."""
         target = self.reached + self._step
         return 1.0 if target > 1.0 - LEAST_STEP else target
 
@@ -37,11 +37,11 @@ class Substeps:
         self._has_failed = False
 
     def leap(self, target: float) -> None:
-        """Attempt a share next that is farther than the rule's."""
+        """Attempt this share next, which is farther than the rule's."""
         self._step = target - self.reached
 
     def failed(self) -> bool:
-        """Record that the target was not reached; returns whether half of the way is worth an attempt."""
+        """Record that the target was not reached; returns whether half the substep is worth an attempt."""
         step = self.target - self.reached
         self._step, self._wall, self._has_failed = 0.5 * step, self.target, True
         return step > LEAST_STEP

@@ -1,4 +1,4 @@
-"""The models: who answers. A scene goes in, what a model answers to load steps comes out."""
+"""The models. A scene goes in; a model's answers to its load steps come out."""
 
 from ..scene.result import REFUSED
 from ..study.registry import Model, Parameter, all_models, find, model_names, reads, superposes

@@ -1,4 +1,4 @@
-"""The volumetric models: finite elements of `fem_reference`, registered."""
+"""The volumetric models: registers the finite elements of `fem_reference`."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 Answer = Callable[[Sequence[SurfaceLoad]], "Solution"]
 
-# scikit-fem's own assembly and a general LU factor: what the fast path is held to
+# scikit-fem's own assembly and a general LU factor: tests compare the fast path with it
 PLAIN = "plain"
 _ELEMENTS = {"fem-linear": "P2-P1", "fem-p1": "P1", "fem-p2": "P2"}
 _LARGEST = ("max_det_f_deviation", "max_principal_strain", "p95_principal_strain")
 
 
 def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
-    """One factorisation, and on the fast path the loads that are independent in one batch of right-hand sides."""
+    """Linear elements: one factorisation; the fast path solves independent loads as one batch."""
     if solver == PLAIN:
         from fem_reference.plain_linear import PlainLinearProblem
 
@@ -45,7 +45,7 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
         return SetUp(lambda loads: plain.solve(fem_loads(loads, plain.body.checked)))
     from fem_reference.linear import LinearProblem
 
-    touched = len(_touched(scene)) if scene.indenter else 0  # a body is solved once for each
+    touched = len(_touched(scene)) if scene.indenter else 0  # contact needs one solve for each
     problem = LinearProblem(
         **_body(scene), element=_ELEMENTS[split(name)[0]], expected_loads=n_loads + touched
     )
@@ -60,8 +60,8 @@ def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # 
 
     body = _body(scene)
     if not scene.gravity.any():
-        body["density"] = 0.0  # no columns for a weight that does not act
-    # one motion of held nodes, in units of its largest component
+        body["density"] = 0.0  # else the weight, which does not act, gets columns of its own
+    # one motion of the held nodes, scaled by its largest component
     largest = scene.prescribed.flat[np.abs(scene.prescribed).argmax()]
     motions = scene.prescribed[None] / largest if largest else np.zeros((0, *scene.prescribed.shape))
     n_columns = 12 * int(scene.contact.sum())  # three components at the vertices and three edge middles each
@@ -93,14 +93,14 @@ def _finite_strain(
 def _at_finite_strain(
     scene: Scene, problem: FiniteStrainProblem, mesh: TetMesh, path: LoadPath | None
 ) -> Answer:
-    """Loads on a problem, spread over the surface of `mesh`."""
+    """Answers of a problem at finite strain; `mesh` has the surface on which loads act."""
     if scene.indenter:
         return _indented_far(scene, problem, mesh)
     return lambda loads: problem.solve(fem_loads(loads, mesh), _asked(scene, *_LARGEST), path)
 
 
 def _scanned(scene: Scene, n_loads: int, path: LoadPath | None) -> SetUp:
-    """Of a body scanned under its weight: its rest shape first; the loads then start from the scanned one."""
+    """For a body scanned under its weight: find the rest shape, then measure displacements from the scanned one."""
     from fem_reference.finite_strain import FiniteStrainProblem
     from solver_common.jit import clock
 
@@ -153,7 +153,7 @@ def _indented(scene: Scene, problem: LinearProblem) -> Answer:
 
 
 def _indented_far(scene: Scene, problem: FiniteStrainProblem, mesh: TetMesh) -> Answer:
-    """The same at finite strain, each step from the one before it."""
+    """Unilateral contact at finite strain; each step starts from the one before it."""
     placed = scene.indenter
     assert placed is not None
 
@@ -166,7 +166,7 @@ def _indented_far(scene: Scene, problem: FiniteStrainProblem, mesh: TetMesh) -> 
 
 
 def _contact(solution: Solution, force: Array, area: Array, **changed: Any) -> Solution:
-    """With the force along the push [N] and the area under pressure [m^2] of each step."""
+    """A solution with the (S,) force along the push [N] and the (S,) area under pressure [m^2] of each step."""
     scalars = {**solution.scalars, "indenter_force": force, "contact_area": area}
     return dataclasses.replace(solution, scalars=scalars, **changed)
 
@@ -176,7 +176,7 @@ def _hyperelastic(scene: Scene, n_loads: int) -> dict[str, Any]:
 
 
 def _material(scene: Scene) -> dict[str, Any]:
-    """The law of large strain and its numbers."""
+    """The hyperelastic law and its parameters."""
     if scene.anisotropy:
         return {"material": "transversely-isotropic"}
     law = scene.tissue.law or NEO_HOOKEAN
@@ -184,7 +184,7 @@ def _material(scene: Scene) -> dict[str, Any]:
 
 
 def _body(scene: Scene) -> dict[str, Any]:
-    """What every volumetric model is built from."""
+    """The arguments that every volumetric model takes."""
     mesh, tissue, fibres = scene.mesh, scene.tissue, scene.anisotropy
     return {
         "points": mesh.points,
@@ -203,7 +203,7 @@ def _body(scene: Scene) -> dict[str, Any]:
 
 
 def _inside(scene: Scene) -> dict[str, Any]:
-    """The moduli of each tetrahedron where there are inclusions."""
+    """The moduli of each tetrahedron, if the scene has inclusions."""
     if not scene.inclusions:
         return {}
     young, ratio, parts = moduli(scene.tissue, scene.inclusions)
@@ -211,7 +211,7 @@ def _inside(scene: Scene) -> dict[str, Any]:
 
 
 def _filled(scene: Scene) -> dict[str, Any]:
-    """The walls of the cavities that a fluid fills, where there are some."""
+    """The walls of the fluid-filled cavities, if the scene has any."""
     if FLUID not in scene.extras:
         return {}
     shells = scene.mesh.shells
@@ -242,22 +242,22 @@ def fem_loads(loads: Sequence[SurfaceLoad], mesh: TetMesh) -> list[FemLoad]:
 
 
 def _asked(scene: Scene, *outputs: str) -> frozenset[str]:
-    """Further outputs of a volumetric model."""
+    """The further outputs that a volumetric model is asked for."""
     return frozenset({*outputs, "condition_estimate"} if scene.condition else outputs)
 
 
 _BOTH, _ONE = ("linear", PLAIN), ("linear",)
-DEAD, FLUID = "dead forces", "fluid in cavities"  # of `vdmbench.study.registry.EXTRAS`
+DEAD, FLUID = "dead forces", "fluid in cavities"  # names in `vdmbench.study.registry.EXTRAS`
 
 
 def _takes(solvers: tuple[str, ...], *more: str) -> dict[str, tuple[str, ...]]:
-    """What all elements take that not every model does, and more."""
+    """Scene features -> solvers that take them: those that all elements take, and `more`."""
     every = ("normal springs", "full springs", "inclusions", "cavities", "fibres")
     return dict.fromkeys((*every, *more), solvers)
 
 
-# Bytes at the peak of a process: multigrid, which is taken where a factor has no room; an LU factor of the plain
-# path. Measured on balls and slabs of 1,000 to 34,000 tetrahedra, within a quarter.
+# Peak memory of a process [bytes]: of multigrid, which solves where a factor has no room, and of an LU factor on
+# the plain path. Measured on balls and slabs of 1,000 to 34,000 tetrahedra, within a quarter.
 
 
 def _plain(size: Size) -> float:

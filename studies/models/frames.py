@@ -1,14 +1,13 @@
-"""What a frame takes: the one measurement behind the times of a run, of its verdict, and of a benchmark.
+"""The time of a frame: the one measurement behind the times of a run, of its verdict, and of a benchmark.
 
-A frame is one load step of a model whose set-up is done and whose factors are kept. Two are told apart:
+A frame is one load step of a model whose set-up is done and whose factors are kept. There are two kinds:
 
-contact      a load on the fixed contact region, by the cheapest way that the model has: where it is linear in
-             the pressure, the product with one column per contact node, the same for all such models
+contact      a load on the fixed contact region, by the cheapest way that the model has. A model that is linear in
+             the pressure multiplies by one column per contact node; this is the same for all such models
 everywhere   a load over the whole free surface, by the model's own solve
 
-All models take turns in rounds, so that what else the machine does weighs on all alike. Each round sets every
-model up anew. What takes no longer than 20 ms is repeated: the clock's grain and one interruption are nothing
-beside it.
+All models take turns in rounds, so that other work on the machine slows all of them alike. Each round sets every
+model up anew. Frames up to 20 ms are repeated, so that the clock's resolution and one interruption do not matter.
 """
 
 from __future__ import annotations
@@ -35,13 +34,12 @@ from ..scene.result import FrameTimes, ModelResult
 from ..scene.scene import Scene
 from . import Prepared, superposes
 
-SAMPLE = 1e-3  # seconds of a sample at least: beside it the clock's grain and a call's overhead are nothing
+SAMPLE = 1e-3  # least length of a sample [s]: far above the clock's resolution and the overhead of a call
 SAMPLES = 5
-# seconds that need no second sample in a round: what else the machine does is a small part of them
-LONG = 2e-2
-MOST = 0.5  # seconds that a model's own steps are repeated for; what is around them may take far longer than they
+LONG = 2e-2  # a step this long [s] needs no second sample in a round: interruptions are a small part of it
+MOST = 0.5  # longest time of repeats [s]: an answer may take far longer than the steps that it times
 FACTORS = np.array([0.5, 1.0])  # load factors of the steps that are measured
-MANY = 1000  # frames for which elements are set up: they keep factors instead of iterating
+MANY = 1000  # loads that a set-up expects: with so many, elements keep factors instead of iterating
 
 Problem = LinearSolver | LinearProblem | CondensedProblem
 Frame = Callable[[Array], tuple[Array, float]]
@@ -50,16 +48,19 @@ Frame = Callable[[Array], tuple[Array, float]]
 def frame_times(
     scene: Scene, names: Sequence[str], rounds: int, budget: float, least: int = 1
 ) -> dict[str, FrameTimes]:
-    """Frames of several models on one scene, in turns.
+    """Times of frames of several models on one scene, measured in turns.
 
-    A model is measured no further after `budget` seconds and `least` rounds; a round beyond that time has no frame
-    everywhere.
+    Parameters
+    ----------
+    rounds : most rounds of each model
+    budget : seconds after which a model is measured no further, once it has `least` rounds. Rounds after that time
+        leave out the frame everywhere
     """
     contact = dataclasses.replace(scene, load_factors=FACTORS, condition=False)
     taken: dict[str, list[tuple[float, float, float]]] = {name: [] for name in names}
     spent = dict.fromkeys(names, 0.0)
     gc.collect()
-    gc.freeze()  # no round's look for garbage goes through all that is loaded
+    gc.freeze()  # the collections of each round skip all objects that exist by now
     for _ in range(rounds):
         for name in names:
             start = time.perf_counter()
@@ -71,15 +72,15 @@ def frame_times(
 
 
 def one_round(contact: Scene, name: str, *, everywhere: bool = True) -> tuple[float, float, float]:
-    """Seconds of a new set-up of a model, of a frame of the contact by its shortest way, and of one everywhere.
+    """Seconds of a new set-up, of a frame of the contact by the cheapest way, and of a frame everywhere.
 
-    NaN where the model has no such thing, or it is not asked for.
+    NaN for a frame that the model does not have, and for the last if not asked for `everywhere`.
     """
     gc.collect()
     prepared = Prepared(contact, name, MANY)
     result = prepared.answer(contact.loads)
     touch, everything = _frame(contact, prepared, result), math.nan
-    if everywhere and not prepared.model.contact_in_setup:  # which would be set up anew
+    if everywhere and not prepared.model.contact_in_setup:  # such a model needs a new set-up for other nodes
         loaded = dataclasses.replace(contact, facet_pressure=pressure_everywhere(contact))
         everything = _frame(loaded, prepared, prepared.answer(loaded.loads))
     problem = prepared.set_up.problem if prepared.set_up is not None else None
@@ -89,7 +90,7 @@ def one_round(contact: Scene, name: str, *, everywhere: bool = True) -> tuple[fl
 
 
 def pressure_everywhere(scene: Scene) -> Array:
-    """(F, Q) pressure on every facet without a held node, growing with height: uniform, it would move nothing."""
+    """(F, Q) pressure [Pa] on facets without held nodes; it grows with height, as a uniform one moves nothing."""
     triangles, z = scene.mesh.triangles, scene.mesh.surface_points[:, 2]
     height = (z - z.min()) / max(float(np.ptp(z)), np.finfo(float).tiny)
     free = ~scene.held[triangles].any(axis=1)
@@ -99,7 +100,7 @@ def pressure_everywhere(scene: Scene) -> Array:
 
 
 def _pressed_alone(scene: Scene) -> bool:
-    """Whether a contact's pressure is all that loads the body, so that columns of it make up the answer."""
+    """Whether contact pressure is the only load, so that the answer is a sum of columns."""
     pressed = scene.contact_pressure[scene.contact]
     return (
         bool(pressed.size)
@@ -111,17 +112,17 @@ def _pressed_alone(scene: Scene) -> bool:
 
 
 def _by_columns(problem: Problem, contact: Scene) -> float:
-    """Seconds of a frame by the columns of the contact nodes, which are made before."""
+    """Seconds of a frame by the columns of the contact nodes; the time to make the columns is not counted."""
     frame = partial(contact_frame(problem, contact), contact.contact_pressure[contact.contact])
     frame()
-    frame()  # shortens the columns
+    frame()  # the second call shortens the columns
     return median_seconds(frame)
 
 
 def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> float:
-    """Median seconds of a load step, solved again and again where one is short."""
-    once = float(result.seconds_per_step.min())  # the least: one that had to wait tells nothing of the others
-    if not once > 0.0:  # NaN of a model that could not be set up, too; and none solves in no time
+    """Median seconds of a load step; short steps are solved again and again."""
+    once = float(result.seconds_per_step.min())  # the minimum: a step that was interrupted is not typical
+    if not once > 0.0:  # also NaN, of a model that could not be set up
         return math.nan
     if once >= LONG:
         return float(np.median(result.seconds_per_step))
@@ -139,10 +140,10 @@ def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> float:
 def contact_frame(problem: Problem, scene: Scene) -> Frame:
     """Frames on the scene's contact nodes: pressures (k,) [Pa] -> displacement (N, 3) [m], fluid pressure [Pa].
 
-    One column per contact node, in single precision: the answer to the node's part of the scene's contact, at unit
-    nodal pressure. The parts share the contact between the nodes as its force is shared, so that under the scene's
-    own nodal pressures a frame is the model's answer to the scene's contact. Nothing else loads the body: no
-    weight, no held node that moves.
+    There is one column per contact node, in single precision: the answer to the node's share of the contact, at
+    unit nodal pressure. The shares are those of the contact's nodal forces. So under the scene's own nodal
+    pressures, a frame is the model's answer to the scene's contact. Nothing else may load the body: no weight, and
+    no held node that moves.
     """
     nodes = np.flatnonzero(scene.contact)
     if not isinstance(problem, LinearSolver):
@@ -159,7 +160,7 @@ def contact_frame(problem: Problem, scene: Scene) -> Frame:
 
 
 def _element_columns(problem: LinearProblem | CondensedProblem, scene: Scene, nodes: Index) -> Array:
-    """(3 N + 1, k) displacement of the surface, one component after the other, and mean pressure."""
+    """(3 N + 1, k) columns: surface displacement [m], all x, then all y, then all z; mean pressure [Pa]."""
     corners, _ = facet_quadrature()
     still, weightless = np.zeros_like(scene.prescribed), np.zeros(3)
     loads = [
@@ -177,22 +178,22 @@ def _element_columns(problem: LinearProblem | CondensedProblem, scene: Scene, no
 
 
 def median_seconds(call: Callable[[], object]) -> float:
-    """Of a call: the median of `SAMPLES` samples, each the mean of as many calls as take `SAMPLE` or longer."""
+    """Median seconds of a call: of `SAMPLES` samples, each the mean of enough calls to take `SAMPLE` or longer."""
     timer = timeit.Timer(call)
     number = calls_of_a_sample(min(timer.repeat(SAMPLES, 1)))
     return float(np.median(timer.repeat(SAMPLES, number))) / number
 
 
 def calls_of_a_sample(seconds: float) -> int:
-    """How many calls of so many seconds, the least of several, take `SAMPLE` or longer."""
+    """How many calls take `SAMPLE` or longer in all; `seconds` is the minimum of several calls."""
     return max(1, math.ceil(SAMPLE / max(seconds, 1e-9)))
 
 
 def median_of_samples(seconds: Array) -> float:
-    """The same from single times (k,) of calls one after another, k of them enough for `SAMPLES` samples."""
+    """As `median_seconds`, from the times (k,) of consecutive calls, enough of them for `SAMPLES` samples."""
     return float(np.median([part.mean() for part in np.array_split(seconds, min(SAMPLES, len(seconds)))]))
 
 
 def growth_exponent(nodes: Array, seconds: Array) -> float:
-    """Slope of the least-squares line through the logarithms of a cost (k,) over mesh sizes (k,)."""
+    """Exponent of a cost: slope of the least-squares line through log seconds (k,) over log node counts (k,)."""
     return float(np.polyfit(np.log(nodes), np.log(seconds), 1)[0])

@@ -1,6 +1,6 @@
-"""What a model is: what it declares, how it is set up and asked, and what of its answer is believed.
+"""Models: registration, set-up, solving, and checks of their answers.
 
-A model may come from another package. What goes wrong in it costs its own answer alone, and is told by its name.
+A model may come from another package. An error in it costs its own answer alone, and the message has its name.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     PressureProblem = LinearSolver | LinearProblem | CondensedProblem
 
 
-BROKEN = "broken-model"  # status of a model that raised what is no sentence, or whose answer has another form
+BROKEN = "broken-model"  # status of a model that raised no ValueError, or whose answer has a wrong form
 
 
 @dataclass(frozen=True)
 class SetUp:
-    """A model made ready for a body: its operators and factors.
+    """A model that is ready to solve on one body: its operators and factors.
 
     Attributes
     ----------
-    solve : load steps -> Solution; the steps are independent where the model superposes, else one load path
-    problem : what answers contact pressures linearly; None where nothing does
+    solve : load steps -> Solution. The steps are independent if the model superposes, else one load path
+    problem : the linear problem whose columns answer contact pressures; None if there is none
     """
 
     solve: Callable[[Sequence[SurfaceLoad]], Solution]
@@ -51,18 +51,18 @@ class SetUp:
 
 
 def register(model: Model) -> None:
-    """Add a model.
+    """Register a model.
 
     Raises
     ------
     InputError
-        a name that is taken, or a declaration that does not fit together or names keys that no study has.
+        the name is taken, the declaration contradicts itself or another model's, or it names unknown keys.
     """
     if model.name in MODELS:
         raise InputError(f"a model {model.name!r} is registered already")
     if not model.version or not model.solvers:
         raise InputError(f"{model.name}: a model declares its version and its solvers")
-    if unknown := {*model.tissue} - Tissue.model_fields.keys():  # answers would be shared that differ
+    if unknown := {*model.tissue} - Tissue.model_fields.keys():  # else different cases would share one answer
         raise InputError(f"{model.name} reads keys of [tissue] that there are none of: {listed(unknown)}")
     for key, parameter in model.own.items():
         if key in VdmTable.model_fields or own_parameters().get(key, parameter) != parameter:
@@ -73,9 +73,16 @@ def register(model: Model) -> None:
 
 
 class Prepared:
-    """A model set up on the body of a scene, with what its set-up took; it answers load steps as results.
+    """A model, set up on the body of a scene, that answers load steps.
 
-    A model that cannot be set up answers with NaN and the reason in its status: other models are not affected.
+    If the set-up fails, the answers are NaN and their status has the reason. Other models are not affected.
+
+    Parameters
+    ----------
+    scene : body, supports, tissue and loads
+    name : of the model, with its solver: `fem-linear:plain`
+    n_loads : how many loads the set-up should expect
+    onward : take the set-up that continues from earlier answers, if the model has one
     """
 
     def __init__(self, scene: Scene, name: str, n_loads: int = 1, *, onward: bool = False) -> None:
@@ -92,9 +99,10 @@ class Prepared:
             self._refusal = _refusal(error, name)
 
     def answer(self, loads: Sequence[SurfaceLoad], *, ends: bool = False) -> ModelResult:
-        """The result of some load steps: one load path, or independent of each other where the model superposes.
+        """The result of some load steps: independent steps if the model superposes, else one load path.
 
-        A step that failed holds NaN; with `ends` the last state on the way to it, of a model that keeps that.
+        A failed step holds NaN. With `ends` it holds the last equilibrium before the failure, if the model keeps
+        it.
         """
         model, n_nodes = self.model, len(self._scene.fixed)
         if self.set_up is None:
@@ -109,12 +117,12 @@ class Prepared:
 
 
 def run_model(scene: Scene, name: str) -> ModelResult:
-    """Solve one scene with one model and measure what it took."""
+    """Set up and solve one scene with one model; the result has its times and memory."""
     return Prepared(scene, name, len(scene.load_factors)).answer(scene.loads)
 
 
 def _as_declared(scene: Scene, model: Model, name: str) -> Scene:
-    """The scene with what the model declares to read, and nothing else: its answers are shared by that."""
+    """The scene with the parameters that the model declares, and no others: cases share answers by these."""
     given = {**scene.parameters, **scene.overrides.get(name, {})}
     if name in scene.homogeneous:
         scene = dataclasses.replace(scene, inclusions=(), extras=scene.extras - {"inclusions"})
@@ -127,7 +135,7 @@ def _as_declared(scene: Scene, model: Model, name: str) -> Scene:
 
 
 def _refusal(error: BaseException, name: str) -> Status:
-    """The status of an error: a ValueError is a sentence for the user, all others are the model's own mistakes."""
+    """The status of an error: a ValueError has a sentence for the user, any other is a mistake in the model."""
     if isinstance(error, MemoryError):
         raise error
     if isinstance(error, ValueError) and "read-only" not in str(error):
@@ -145,7 +153,7 @@ def _refusal(error: BaseException, name: str) -> Status:
 
 
 def _check(solution: Solution, name: str, n_steps: int, n_nodes: int) -> None:
-    """Raises TypeError where an answer has another form than `Solution` says."""
+    """Raises TypeError if an answer has not the shapes and types of `Solution`."""
     steps, vectors = (n_steps,), (n_steps, n_nodes, 3)
     numbers = ("fluid_pressure", "energy", "iterations", "seconds_per_step")
     found = {part: getattr(solution, part, None) for part in ("displacement", "reaction_force", *numbers)}
@@ -162,7 +170,7 @@ def _check(solution: Solution, name: str, n_steps: int, n_nodes: int) -> None:
 
 
 def _believed(solution: Solution, name: str) -> tuple[Status, ...]:
-    """Each step's status; one that is called converged and is not finite is not believed."""
+    """Each step's status; a step that is called converged but has numbers that are not finite becomes BROKEN."""
     finite = np.isfinite(solution.displacement).all(axis=(1, 2)) & np.isfinite(solution.energy)
     finite &= np.isfinite(solution.reaction_force).all(axis=(1, 2)) & np.isfinite(solution.fluid_pressure)
     lie = Status(BROKEN, f"{name} calls a step converged whose numbers are not finite", "take smaller loads")
@@ -173,7 +181,7 @@ def _believed(solution: Solution, name: str) -> tuple[Status, ...]:
 
 
 def _result(scene: Scene, solution: Solution, peak_bytes: int, model: Model) -> ModelResult:
-    """The solution as far as it is believed; a step that failed holds the last state on the way to it, or NaN."""
+    """The checked solution as a result; a failed step holds the last equilibrium before the failure, or NaN."""
     states = _believed(solution, model.name)
     given: dict[str, Any] = {part.name: getattr(solution, part.name) for part in dataclasses.fields(Solution)}
     given |= {name: np.asarray(given[name]) for name in STEPS if name in given} | {"status": states}

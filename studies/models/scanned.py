@@ -1,7 +1,8 @@
 """Bodies whose shape was measured under their weight (`gravity.scanned`): loads start from that shape.
 
-The rest shape is a fixed point: its points move back by what the body, sagged from it, misses of the measured
-shape (Sellier, Journal of Fluids and Structures 27 (2011) 1461), with what former steps told of the slope.
+A fixed-point iteration finds the rest shape. Each step sags the trial rest shape and moves its points by the
+distance to the measured shape (Sellier, Journal of Fluids and Structures 27 (2011) 1461), with Anderson
+acceleration.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from solver_common.solution import NO_REST_SHAPE, Solution, SolverError, solver_
 from ..scene.result import REST_DISTANCE
 from ..scene.scene import SurfaceLoad
 
-TOLERANCE = 1e-4  # of the largest sag, of what the sagged body misses of the measured shape
-_MOST = 40  # steps
-_HALVINGS = 4  # of one
-_REMEMBERED = 10
+TOLERANCE = 1e-4  # largest distance from the sagged to the measured shape, as a share of the largest sag
+_MOST = 40  # most steps
+_HALVINGS = 4  # most halvings of one step
+_REMEMBERED = 10  # depth of the Anderson acceleration
 UNSTABLE = "under its weight the scanned shape is not stable"
 
 
@@ -33,17 +34,17 @@ def rest_shape(
     ----------
     measured : (n, 3) points under the weight [m]
     sag : (n, 3) points at rest -> (n, 3) their displacement under the weight [m]; may raise `SolverError`
-    start : (n, 3) points to start from, None for the measured ones [m]
+    start : (n, 3) points to start from [m]; None for the measured ones
 
     Returns
     -------
     rest : (n, 3) points at rest [m]
-    displacement : (n, 3) from there under the weight [m]
+    displacement : (n, 3) displacement of these points under the weight [m]
 
     Raises
     ------
     SolverError
-        if the steps do not come to an end: a body too soft for its weight has no rest shape that they find.
+        the iteration does not converge, as for a body that is too soft for its weight.
     """
     from vdm.solvers.anderson import Anderson
 
@@ -76,11 +77,15 @@ def no_rest_shape(why: str) -> SolverError:
 def from_scan(
     solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, seconds: float, left: float = 0.0
 ) -> Solution:
-    """A solution from the rest shape as one from the scanned shape, which is (N, 3) `sag` [m] off it.
+    """A solution from the rest shape, with displacements measured from the scanned shape.
 
-    Where nothing but the weight acts that is zero, not what solvers leave open, unless the step failed.
-    `seconds` [s] is what the set-up took with the search for the rest shape. What is `left`
-    open of the rest shape [m] is told.
+    A converged step with the weight alone gets zero displacement, not the solver's residual error.
+
+    Parameters
+    ----------
+    sag : (N, 3) displacement from the rest shape to the scanned one [m]
+    seconds : time of the set-up, with the search for the rest shape [s]
+    left : how far a new cut moves the rest shape [m]; if positive, the status says so
     """
     distance = float(np.linalg.norm(sag, axis=1).max())
     rests = [status.ok and not load.acts for status, load in zip(solution.status, loads, strict=True)]

@@ -43,7 +43,7 @@ def prepare_surface(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp
 
 
 def _scanned(scene: Scene, name: str) -> SetUp:
-    """Of a body scanned under its weight: its rest shape first; the loads then start from the scanned one."""
+    """For a body scanned under its weight: find the rest shape, then measure displacements from the scanned one."""
     from solver_common.jit import clock
     from vdm.model import Model
     from vdm.parts.solve import PartsSolver
@@ -61,7 +61,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
     search = Unloading(measured, _load(scene.load(0.0)))
 
     def sag(points: Array) -> Array:
-        """Of the rest shape that has the stiffness of this one: what is found has its own."""
+        """The sag that the stiffness of the body at `points` gives; at convergence it is that of the rest shape."""
         nonlocal rest, springs, model
         if points is not measured:
             moved = mesh.points.copy()
@@ -74,7 +74,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
     points = measured
 
     def led_back(least: int) -> tuple[SetUp, Array]:
-        """The body at rest, and its sag, in so many parts at least and in as many as it asks for where it sags."""
+        """The body at rest and its sag (N, 3) [m], in at least `least` parts, and as many as the sag needs."""
         nonlocal points, seconds
         began, number, needed = clock(), -1, least
         while needed != number:
@@ -88,14 +88,14 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             if not weighed.status[0].ok:
                 raise SolverError(weighed.status[0])
             needed = solver().body.n_parts
-            if needed > number:  # never fewer again
+            if needed > number:  # the number of parts only grows, so the loop ends
                 least = needed
         solver().least = number
         seconds += clock() - began
         return found, np.asarray(weighed.displacement[0])
 
     def on_rest(load: SurfaceLoad) -> SurfaceLoad:
-        """The pressures of a load as forces on the rest shape, with which they turn."""
+        """A load whose pressures are forces on the rest shape; they follow its surface."""
         own = dataclasses.replace(rest, facet_pressure=load.facet_pressure).load(1.0)
         return dataclasses.replace(
             load, contact_pressure=own.contact_pressure, contact_force=own.contact_force
@@ -104,7 +104,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
     found, sagged = led_back(0)
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
-        """Of the parts that the loads need, by the rest shape that sags in as many."""
+        """The answer in as many parts as the loads need, from the rest shape for that number of parts."""
         nonlocal found, sagged
         while True:
             number = solver().body.n_parts
@@ -117,13 +117,13 @@ def _scanned(scene: Scene, name: str) -> SetUp:
 
 
 def _set_up(model: Model | IncrementalModel, springs: sparse.csr_array | None, scene: Scene) -> SetUp:
-    """A model made ready, with the forces of its springs apart."""
+    """A model that is ready to solve, whose answers separate the forces of the springs."""
     from vdm.model import Model
     from vdm.solvers.linear import LinearSolver
 
     def solve(loads: Sequence[SurfaceLoad]) -> Solution:
         solution = model.solve([_load(load) for load in loads], condition=scene.condition)
-        # of the incremental model there are none: it declares to take no springs
+        # the incremental model declares that it takes no springs
         if springs is None or not isinstance(model, Model):
             return solution
         return _apart(solution, springs, model.formulation)
@@ -144,19 +144,19 @@ def _load(load: SurfaceLoad) -> Load:
 
 
 def _springs(scene: Scene) -> sparse.csr_array | None:
-    """(3N, 3N) springs between facets that stay flat and the ground [N/m]; None where there are none.
+    """(3N, 3N) stiffness of the springs between facets and the ground [N/m]; None without springs.
 
-    Exact for every displacement that is linear on the facets. A third of a facet's springs at each of its nodes
-    would hold a body that turns in a round bed four times too stiffly.
+    It is exact for displacements that are linear on each facet. Lumped springs, a third of a facet's at each of its
+    nodes, would hold a body that turns in a round bed four times too stiffly.
     """
     if not scene.springs:
         return None
-    from scipy import sparse  # slow to load, and who only plans solves nothing
+    from scipy import sparse  # slow to load, and a plan does not solve
 
     points, triangles = scene.mesh.surface_points, scene.mesh.triangles
     vectors = facet_area_vectors(points, triangles)
     areas = np.linalg.norm(vectors, axis=1)[:, None, None]
-    along = np.einsum("fi,fj->fij", vectors, vectors) / areas  # of the normals, times the area
+    along = np.einsum("fi,fj->fij", vectors, vectors) / areas  # area times n n^T
     found = np.zeros((len(areas), 3, 3))
     for part in scene.springs:
         shape = along if part.direction == "normal" else areas * np.eye(3)
@@ -169,13 +169,13 @@ def _springs(scene: Scene) -> sparse.csr_array | None:
 
 
 def _along_normals(springs: sparse.csr_array, normals: Array) -> Array:
-    """(N,) what springs are for nodes that move along their normals, a third of a facet's at each of its nodes."""
+    """(N,) lumped springs of nodes that move along their normals [N/m]: a third of a facet's at each node."""
     lumped = (springs @ np.tile(np.eye(3), (len(normals), 1))).reshape(-1, 3, 3)
     return np.asarray(np.einsum("ni,nij,nj->n", normals, lumped, normals))
 
 
 def _apart(solution: Solution, springs: sparse.csr_array, formulation: Formulation) -> Solution:
-    """The solution with the force of the springs among the reactions, and the energy of the body alone."""
+    """The solution with spring forces among the reactions, and without the energy of the springs."""
     u = solution.displacement
     force = np.asarray(u.reshape(len(u), -1) @ springs).reshape(u.shape)  # symmetric
     if formulation.components == 1:
@@ -191,7 +191,7 @@ def _apart(solution: Solution, springs: sparse.csr_array, formulation: Formulati
 def _model(
     scene: Scene, name: str, springs: sparse.csr_array | None, cut: Cut | None = None
 ) -> Model | IncrementalModel:
-    """The model of the scene's tissue; parameters that the study does not set follow a rule from it."""
+    """The model of the scene. Parameters that the study does not set follow from the tissue by a rule."""
     from vdm.incremental import IncrementalModel
     from vdm.material import Parameters
     from vdm.model import Model
@@ -219,7 +219,7 @@ def _model(
         )
         whole = dataclasses.replace(rule, **chosen)
         if isinstance(rule.surface_tension, np.ndarray) and "surface_tension" in chosen:
-            # a T of the study is the mean over the edges of one that grows from the support
+            # T varies over the edges; the study's value is its mean
             grown = chosen["surface_tension"] * (rule.surface_tension / rule.surface_tension.mean())
             whole = dataclasses.replace(whole, surface_tension=grown)
         if FLUID in scene.extras:
@@ -240,7 +240,7 @@ def _model(
     }
     if "penalty" in given:  # (25) and (26) as printed
         options |= {"constraint_method": "penalty-replaced", "penalty": given["penalty"]}
-        solver = "lu" if solver == "linear" else solver  # lu solves the same problem; any other refuses
+        solver = "lu" if solver == "linear" else solver  # the same problem; other solvers refuse the penalty
     options |= {key: given[key] for key in _OF_SOLVERS if key in given}
     if solver == INCREMENTAL:
         return IncrementalModel(mesh.surface_points, mesh.triangles, parameters, **options)
@@ -248,7 +248,7 @@ def _model(
 
 
 def _lumps(scene: Scene, own_ratio: bool) -> Lumps:
-    """The inclusions as regions between facets of their tetrahedra; in a fluid each keeps its volume."""
+    """The inclusions as closed regions, bounded by tetrahedron facets; in a fluid each keeps its volume."""
     from vdm.material import Lumps
 
     mesh, tissue = scene.mesh, scene.tissue
@@ -270,7 +270,7 @@ def _lumps(scene: Scene, own_ratio: bool) -> Lumps:
 def _on_springs(
     parameters: Parameters, springs: sparse.csr_array, surface: SurfaceMesh, formulation: str
 ) -> Parameters:
-    """The material on springs; nodes that move along normals have them as a foundation of their own."""
+    """The material with springs to the ground; if nodes move along normals, the springs join the foundation."""
     if formulation not in ("paper", "consistent"):
         return dataclasses.replace(parameters, ground=springs)
     along, changed = _along_normals(springs, surface.normals), dict[str, Any]()
@@ -280,7 +280,7 @@ def _on_springs(
     else:
         own = 0.0 if parameters.foundation is None else parameters.foundation
         changed["foundation"] = own + along / surface.vector_areas
-    # the known bendings are those of a body that is held or free
+    # the bending correction holds for a body without springs
     return dataclasses.replace(parameters, youngs_modulus=None, **changed)
 
 
@@ -291,12 +291,12 @@ _surface = partial(
     superposes=("linear",),
     tissue=("youngs_modulus",),
 )
-# of `vdmbench.study.registry.EXTRAS`
+# names in `vdmbench.study.registry.EXTRAS`
 SPRINGS, FULL, DEAD, INCLUSIONS = "normal springs", "full springs", "dead forces", "inclusions"
 CAVITIES, FLUID, FIBRES = "cavities", "fluid in cavities", "fibres"
-INCREMENTAL = "incremental"  # of the printed form alone, whose claim it tries
+INCREMENTAL = "incremental"  # a solver of the printed form alone: it tests a claim of the paper
 PRINTED = (*SOLVERS, INCREMENTAL, FIGURE_8)
-DIRECT = ("linear", "lu")  # which alone solve a penalty, (25) and (26)
+DIRECT = ("linear", "lu")  # the only solvers of the penalty form, (25) and (26)
 _OF_SOLVERS = ("tolerance", "stop", "volume_row")
 _NOT_OF_THE_MATERIAL = ("penalty", "compressibility", *_OF_SOLVERS)
 for _registered in (
@@ -344,7 +344,7 @@ for _registered in (
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
         of_solvers={"parts": ("nonlinear",), "penalty": ("linear",)},
-        most_nodes={"linear": 2000},  # the other cuts the body into parts
+        most_nodes={"linear": 2000},  # the nonlinear solver cuts the body into parts
         by_rule=("shear_modulus",),
     ),
     _surface(
