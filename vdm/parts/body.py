@@ -1,25 +1,26 @@
-"""A body in parts at large displacements: boundary elements with a rotation each, joined at their cuts.
+"""A body in parts at large displacements: corotational boundary-element bodies, joined at their cuts.
 
-Part e has the stiffness S_e of its own closed surface, which turns with the rotation Q_e that best fits it
-(`vdm.peers.bem.BoundaryFormulation`), and a pressure p_e that keeps its volume at nu = 1/2. Small strain within a
-part, large rotation between them: the corotational idea (Felippa and Haugen, Comput. Methods Appl. Mech. Engrg.
-194, 2005) with boundary elements as elements.
+Part e has the stiffness S_e of its own closed surface (`vdm.peers.bem.BoundaryFormulation`). The stiffness turns
+with the rotation Q_e that best fits the part. At nu = 1/2 a pressure p_e, a Lagrange multiplier, keeps the part's
+volume. Strain within a part is small, rotation between parts is large: the corotational method (Felippa and Haugen,
+Comput. Methods Appl. Mech. Engrg. 194, 2005) with whole boundary-element bodies as elements.
 
-The slope of a part, in its frame, is S_e and what its turning adds. With positions y and levers a X about their
-middle, forces f = S_e w less those that turn with it (pressures, contact), e_k the axes:
+The tangent stiffness of a part, in its frame, is S_e plus terms from its rotation. y are positions and a X the
+levers (areas times rest positions), both about their mean; f = S_e w less the forces that turn with the part
+(pressures, contact); e_k are the axes:
 
 `K = S + B W + W^T B^T - W^T (Y^T B) W`, `omega = W dy = M^-1 sum a X x dy`, `M = tr(P) I - P`, `P = sum a X y^T`,
 `Y_k = e_k x y`, `B_k = e_k x f - S Y_k - (rho g . Y_k) g`, g the gradient of its volume (or area vectors).
 
-That is S and a product U C U^T of rank 6, `U = [W^T, B]`, `C^-1 = [[0, I], [I, Y^T B]]` (the geometric stiffness
-of a corotational element): exact but for terms of the order of the strain. Its weight presses the part's closed
-surface, so that it does not change where the part moves as one.
+That is S plus a term U C U^T of rank 6, `U = [W^T, B]`, `C^-1 = [[0, I], [I, Y^T B]]`: the geometric stiffness of a
+corotational element. It neglects terms of the order of the strain. The weight acts as a pressure on the part's
+closed surface, so rigid motion of the part does not change it.
 
-S is condensed to the nodes C that parts share. With the part's inner nodes I, `T = S_II^-1 S_IC` once; U and g are
-columns of a border E, with unknowns q of which the first is the pressure:
+S is condensed to the nodes C that parts share. The part's inner nodes are I, and `T = S_II^-1 S_IC` is computed
+once. U and g are columns of a border E, with unknowns q, of which the first is the pressure:
 
 `u_I = S_II^-1 (f_I + E_I q) - T u_C`, `(S_CC - S_CI T) u_C - H q = f_C - T^T f_I`, `H = E_C - T^T E_I`,
-`H^T u_C + (E_I^T S_II^-1 E_I + D) q = t - E_I^T S_II^-1 f_I`, with D = C^-1 for U, t the volume that lacks for g.
+`H^T u_C + (E_I^T S_II^-1 E_I + D) q = t - E_I^T S_II^-1 f_I`. D is C^-1 for U; t is the missing volume for g.
 """
 
 from __future__ import annotations
@@ -48,40 +49,40 @@ from vdm.solvers.linear import BorderedFactor
 from vdm.solvers.nonlinear import NEAR, Balance
 from vdm.surface import SurfaceMesh
 
-# rotation within a part [rad] that small strain in its frame bears: half of its square is the strain that it feigns
+# largest rotation within a part [rad]: in a linear strain it shows as half its square
 MOST_TURN = np.radians(10.0)
-SAME_TURN = 0.01  # change of a rotation that a correction does not mind: a factor is made anew beyond it
-MOST_LEFT = 0.2  # of what lacks: a slope that leaves more is made anew
-HALVINGS = 4  # of a body, into pieces that the spread of rotations is read from
-FEWEST = 20  # nodes of such a piece: as many as the smallest part has beside those of its caps
-# of the surface's area: its strain is below that of the rest, which grows at rims without limit on finer meshes
+SAME_TURN = 0.01  # change of a rotation [rad] up to which the factor of the shared nodes is kept
+MOST_LEFT = 0.2  # share of the residual: a tangent that leaves more after a correction is assembled anew
+HALVINGS = 4  # how often the surface is halved, into pieces whose rotations are compared
+FEWEST = 20  # least nodes of such a piece: as many as the smallest part has outside its caps
+# share of the area that the strain is reported for: at rims the strain grows without limit on finer meshes
 MOST_AREA = 0.99
 LARGEST_STRAIN = 0.1
 # (3, 9): v @ TURNED is (3, 3) with e_k x v in column k
 TURNED = np.cross(np.eye(3)[None], np.eye(3)[:, None]).transpose(0, 2, 1).reshape(3, 9)
-KRYLOV = 15  # products with a slope that its least eigenvalue is found by
-SMALL_CHANGE = 1e-6  # sizes of the body, by which the slope of a state is told
-BORDER = 7  # unknowns of a part beside displacements: its pressure and what its turning adds, six
+KRYLOV = 15  # steps of Arnoldi's method for the least eigenvalue of a tangent
+SMALL_CHANGE = 1e-6  # step of the central differences, in sizes of the body
+BORDER = 7  # further unknowns of a part: its pressure, and six for the rank of its rotational terms
 
 
 @dataclass(frozen=True)
 class _Acting:
-    """What acts on the parts in a state. Nodes of all parts, one part after another, are n_p.
+    """The deformed state of the parts and the forces on them. n_p counts the nodes of all parts, one after another.
 
     Attributes
     ----------
-    state : (n_p,) surfaces of all parts
-    turns : (m, 3, 3) their rotations
-    away : (n_p, 3) displacement in each part's frame
-    energy : of the parts [J]
-    on_surface : (N, 3) contact on the whole surface [N]
-    weight : (n_p,) pressure of the weight, about the middle of each part [Pa]
-    rise : (m, 3) its slope [Pa/m]
-    datum : (m,) at those middles, above the highest point of the body at rest [Pa]
-    gradient : (n_p, 3) of what a pressure changes: of the volumes and what `Swelling` has beyond them
-    inward : (n_p, 3) in each part's frame: forces of that, and of its squeeze under its weight [N]
-    squeezed : (m + c,) volumes of that squeeze, zero of further ones [m^3]
-    filled : (n_p, 3, c) gradient of the volumes of the cavities that a fluid fills, and of what rims bulge
+    state : (n_p,) deformed surfaces of all parts
+    turns : (m, 3, 3) rotations Q of the parts
+    away : (n_p, 3) displacement w in each part's frame [m]
+    energy : elastic energy of the parts [J]
+    on_surface : (N, 3) forces on the body's surface that turn with it: contact [N]
+    weight : (n_p,) pressure of the weight, zero at the mean position of each part [Pa]
+    rise : (m, 3) gradient of that pressure [Pa/m]
+    datum : (m,) pressure of the weight at those means, zero at the highest point of the body at rest [Pa]
+    gradient : (n_p, 3) gradient of the volumes that the pressures keep, with that of `Swelling` [m^2]
+    inward : (n_p, 3) forces in each part's frame from swelling and from compression by the weight [N]
+    squeezed : (m + c,) volume that the weight compresses each part by, zero for other volumes [m^3]
+    filled : (n_p, 3, c) gradient of the further volumes: fluid-filled cavities and bulges at rims [m^2]
     """
 
     state: DeformedSurface
@@ -100,17 +101,17 @@ class _Acting:
 
 @dataclass(frozen=True)
 class _Slope:
-    """The slope of a state, see the head of this file, with q (r,) of all parts and cavities.
+    """The tangent stiffness of a state, as at the head of this file; q (r,) are the border unknowns of all parts.
 
     Attributes
     ----------
-    turns : (m, 3, 3) of the parts
-    inner, joined : (., 3, 3) those of the inner nodes and of the shared nodes of each part
-    columns : of each part its places in q
-    pushes : of each part E_I (3 n_I, k)
+    turns : (m, 3, 3) rotations of the parts
+    inner, joined : (., 3, 3) those rotations for the inner nodes, and for the shared nodes of each part
+    columns : for each part the indices of its unknowns in q
+    pushes : for each part E_I (3 n_I, k)
     border : (3 n_C, r) H
-    answers : (3n, r) how q moves all nodes
-    system : (r, r) what is left for q
+    answers : (3n, r) displacement of all nodes for unit q
+    system : (r, r) Schur complement for q
     """
 
     turns: Array
@@ -124,20 +125,34 @@ class _Slope:
 
 
 class Parts:
-    """The body of a problem of boundary elements, cut into `count` parts; `vdm.solvers.nonlinear.Large`.
+    """A boundary-element body, cut into `count` parts; a `vdm.solvers.nonlinear.Large`.
 
-    Nodes of the problem's surface come first, those inside after them. One part is the problem's own formulation.
-    The pressures are those of the parts, and after them of the cavities that a fluid fills and of the rims.
+    The nodes of the problem's surface come first, then those inside. A single part is the problem's own
+    formulation. The pressures are those of the parts, then those of the fluid-filled cavities, then that of the
+    rims.
+
+    Parameters
+    ----------
+    problem : a problem of boundary elements
+    count : number of parts; a fork may get more
+    given : the cut to use; None for a new one
 
     Attributes
     ----------
-    problem : at small displacements too, that of the parts
-    factor : of that problem
+    problem : the problem at small displacements, with the stiffness of the parts
+    factor : the factor of that problem
+    rest : (n, 3) rest positions of all nodes, relative to the body's origin [m]
+    free : (n,) mask of the nodes without supports
+    n_parts, n_pressures : number of parts, and of kept volumes
+    owner : (N,) part that the load on each surface node turns with
+    volumes : (n_pressures,) kept volumes at rest [m^3]
+    give : (n_pressures,) compressibility: change of volume over pressure [m^3/Pa]
+    wanted : number of parts that the loads call for
 
     Raises
     ------
     SolverError
-        a part that has no factor, or more nodes than one takes.
+        a part cannot be factorised, or has more nodes than allowed.
     """
 
     has_slope = True
@@ -174,13 +189,13 @@ class Parts:
             sprung = np.flatnonzero(shared[: surface.n_nodes])
             at = dofs(place[sprung])
             self._ground_joining[np.ix_(at, at)] = self._ground[dofs(sprung)][:, dofs(sprung)].toarray()
-        # of the part that a node of the surface turns with, where a load follows it
+        # a load that follows the surface turns with the owner of its node
         self.owner = np.zeros(n, np.int64)
         for number, triangles in enumerate(self.cut.parts):
             self.owner[triangles] = number
         self.owner = self.owner[: surface.n_nodes]
         parameters = replace(whole.parameters, ground=None, fluid_in_cavities=False)
-        of_shell = np.zeros(n, np.int64)  # nodes of caps are of none, and so are facets with one of them
+        of_shell = np.zeros(n, np.int64)  # 0 for nodes of caps, so that facets of caps are no cavity walls
         of_shell[surface.triangles] = surface.shells[:, None]
         of_shell[n - len(self.cut.ends) :] = of_shell[self.cut.ends].min(axis=1)
         self.problem, block = problem, None
@@ -214,7 +229,7 @@ class Parts:
             )
             self.parts.append(part)
         self.cut = given or replace(self.cut, tractions=tuple(tractions))
-        # all parts at once, one after another
+        # arrays of all parts, one part after another
         self._joint = DeformableSurface.together([part.body for part in self.parts])
         self._nodes = np.concatenate([part.nodes for part in self.parts])
         self._walls = np.concatenate([part.walls for part in self.parts])
@@ -223,7 +238,7 @@ class Parts:
         self._part = np.repeat(np.arange(self.n_parts), sizes)
         self._first, self._first_facet = np.cumsum(sizes) - sizes, np.cumsum(facets) - facets
         self._spans = _spans(sizes)
-        # inner nodes of all parts, and which of the shared nodes each has
+        # inner nodes of all parts, and the positions of each part's shared nodes
         self._inner = np.concatenate([part.nodes[part.inner] for part in self.parts])
         self._places = np.concatenate([part.places for part in self.parts])
         inner = np.array([part.inner.sum() for part in self.parts])
@@ -236,20 +251,20 @@ class Parts:
         swellings = [part.swelling for part in self.parts]
         self._beyond = np.concatenate([one.beyond for one in swellings])
         self.give = np.append([one.give for one in swellings], np.zeros(self._n_further))
-        # of a unit slope of a part's weight: forces that its squeeze takes (n, 3, 3), and volume (3,)
+        # compression of each part by a unit pressure gradient of its weight, see `_squeeze`
         self._squeeze = [
             _squeeze(part)
             for part in self.parts
             if part.swelling.give and problem.support.gravity is not None
         ]
-        # and forces (n, 3, 3) under its rims, which only one that is not cut has
+        # forces (n, 3, 3) under the rims for that gradient; a body that is cut has nodes at its rims instead
         self._under_rims = [part.form.pressed_at_rims() for part in self.parts if self.n_parts == 1]
         self.wanted = 1
         self._turns: Array | None = None
         self._slope: _Slope | None = None
-        self._lacked = np.inf, np.inf  # at the last two corrections, and under which load
+        self._lacked = np.inf, np.inf  # relative residuals of the last two corrections; below, their load
         self._load: Load | None = None
-        self._before: Balance | None = None  # that the last correction was for
+        self._before: Balance | None = None  # state of the last correction
         self._factor: Factor = Nothing()
         if self.n_parts > 1:
             self._joined_at(np.tile(np.eye(3), (self.n_parts, 1, 1)))
@@ -299,7 +314,7 @@ class Parts:
         return Balance(load, x, pressure, gap, internal - applied, scale, acting)
 
     def _weight(self, load: Load, state: DeformedSurface, volumes: Array) -> tuple[Array, Array, Array]:
-        """Slope, pressure and datum of the weight of a state, see `_Acting`: a part keeps its mass."""
+        """`rise`, `weight` and `datum` of `_Acting`; a part keeps its mass, so its density follows its volume."""
         m, problem = self.n_parts, self.problem
         support = problem.support
         if support.gravity is None:
@@ -313,7 +328,7 @@ class Parts:
         return rise, weight, places @ slope - float((problem.body.rest @ slope).min())
 
     def _inward(self, pressure: Array, rise: Array, turns: Array) -> tuple[Array, Array]:
-        """See `_Acting`; and by how much weight alone squeezes the volumes of parts and cavities (m + c,) [m^3]."""
+        """`inward` and `squeezed` of `_Acting`."""
         inward, squeezed = -pressure[self._part][:, None] * self._beyond, np.zeros(len(pressure))
         for e, (pulled, flux) in enumerate(self._squeeze):
             slope = turns[e] @ rise[e]
@@ -322,20 +337,21 @@ class Parts:
         return inward, squeezed
 
     def _each(self) -> Iterator[tuple[Part, slice]]:
-        """Parts, and where their nodes are among those of all."""
+        """Each part with the slice of its nodes among those of all parts."""
         return zip(self.parts, self._spans, strict=True)
 
     @property
     def _rows_of_volumes(self) -> Index:
-        """(m + c,) rows of the system of all borders: volumes of parts, then of filled cavities and of rims."""
+        """(m + c,) rows of the kept volumes in the border system: parts, then filled cavities, then rims."""
         rows = BORDER * self.n_parts
         return np.append(np.arange(0, rows, BORDER), rows + np.arange(self._n_further))
 
     def _kept(self, state: DeformedSurface, moved: Array) -> tuple[Array, Array]:
-        """(m + c,) volumes that the pressures are of; the gradient (n_p, 3, c) of all but the parts'.
+        """(m + c,) kept volumes [m^3], and the gradient (n_p, 3, c) of all but the parts' volumes.
 
-        That of rims is what the parts, of which the nodes `moved` (n_p, 3), have beside those with flat rims, to
-        which the body's volume at rest is added: its rims bulge by as much as they sink.
+        `moved` (n_p, 3) is the displacement of the nodes. The volume of rims is the volume of the parts less that
+        of parts with flat rims. The body's volume at rest is added, so that relative changes are those of the body.
+        Keeping this volume makes rims bulge by as much as they sink.
         """
         volumes, (held, filled) = state.volumes(self._first_facet), self._cavities(state)
         kept = np.append(volumes, held)
@@ -349,7 +365,7 @@ class Parts:
 
     @cached_property
     def _flat(self) -> sparse.csr_array:
-        """(n_p, n_p) that puts the new nodes of rims on the edges that they cut."""
+        """(n_p, n_p) interpolation that puts the new nodes at rims on the edges that they cut."""
         n = len(self.free)
         placed = on_edges(self.cut.ends, n - len(self.cut.ends))
         whole = sparse.csr_array((placed.data, placed.indices, placed.indptr), shape=(n, n))
@@ -358,7 +374,8 @@ class Parts:
     def _cavities(self, state: DeformedSurface) -> tuple[Array, Array]:
         """Volumes (k,) of the filled cavities, and their gradient (n_p, 3, k) at the nodes of all parts.
 
-        Parts add volumes to the rest centroid of the body; their sum is the cavity's.
+        Each wall facet spans a tetrahedron with the body's centroid at rest; a cavity's volume is the sum over its
+        walls in all parts.
         """
         if not self._n_filled:
             return np.zeros(0), np.zeros((len(self._nodes), 3, 0))
@@ -384,12 +401,13 @@ class Parts:
     def stiffness_left(self, balance: Balance) -> float:
         """As in `Large`.
 
-        The least eigenvalue of the state's slope over that of its parts without forces, where volumes are kept: 1
-        at rest, 0 at a limit point. By Arnoldi's method, of central differences: those to one side have half of
-        what the change stretches a slender part, which withstands that far more than being bent.
+        The least eigenvalue of the tangent stiffness, preconditioned by the tangent without forces, among changes
+        that keep the volumes: 1 at rest, 0 at a limit point. Arnoldi's method finds it. Products with the tangent
+        are central differences: one-sided ones would add axial stretch to the bending of a slender part, which is
+        far stiffer.
         """
         slope = self._slope_at(balance, self._joined_at(balance.parts.turns), forceless=True)
-        self._slope = None  # its factor may be that of other rotations
+        self._slope = None  # `_joined_at` may have replaced the factor that it belongs to
         away = SMALL_CHANGE * float(np.ptp(self.rest, axis=0).max())
 
         def softened(direction: Array) -> Array:
@@ -402,17 +420,17 @@ class Parts:
         return least_eigenvalue(softened, start)
 
     def _beside(self, balance: Balance, change: Array) -> Balance:
-        """Of the state that is away by a change (3 n_free,)."""
+        """The balance of a state whose displacement differs by a change (3 n_free,)."""
         x = balance.x.copy()
         x[self.free] += change.reshape(-1, 3)
         return self.balance(balance.load, x, balance.pressure)
 
     def _answer(self, slope: _Slope, balance: Balance, lacking: Array, gap: Array) -> tuple[Array, Array]:
-        """As `correction`, by a slope."""
+        """As `correction`, by the given tangent stiffness."""
         kept = self._rows_of_volumes
         target = np.zeros(len(slope.system))
         target[kept] = -gap * self.volumes
-        # vectors in rows: v of the world is v @ q.T in the part's frame
+        # row vectors: v in the world frame is v @ q.T in the part's frame
         within = np.einsum("nd,ncd->nc", -lacking[self._inner], slope.inner).reshape(-1)
         inside, met = np.empty_like(within), np.empty(3 * len(self._places))
         for (part, i, c), columns, pushes in zip(self._unknowns, slope.columns, slope.pushes, strict=True):
@@ -438,9 +456,9 @@ class Parts:
     def _closing(
         self, slope: _Slope, balance: Balance, change: Array, pushed: Array, gap: Array
     ) -> tuple[Array, Array]:
-        """What more (n, 3) and which pressures close gaps by the gradients of the state's own volumes.
+        """The further change (n, 3) and pressures that close the gaps by the volume gradients of this state.
 
-        A slope that is kept, and a mixture, close those of other states.
+        A tangent that is kept, or a mixture of corrections, closes the gaps of other states.
         """
         acting = balance.parts
         at_parts, missed = change[self._nodes], np.zeros(len(slope.system))
@@ -452,9 +470,13 @@ class Parts:
         return (slope.answers @ push).reshape(-1, 3), np.asarray(push[kept])
 
     def _moved(self, of_inner: Array, of_joined: Array, together: Array, inside: Array) -> Array:
-        """(3n, r) by r motions of nodes that are shared (3 n_C, r) and what moves each part's own (3 n_I, r).
+        """(3n, r) displacement of all nodes, in the world frame.
 
-        With the rotations of all inner nodes and of the shared ones of each part, as in `_Slope`.
+        Parameters
+        ----------
+        of_inner, of_joined : `inner` and `joined` rotations of `_Slope`
+        together : (3 n_C, r) displacement of the shared nodes, in the world frame
+        inside : (3 n_I, r) displacement of the inner nodes with the shared ones held, in the parts' frames
         """
         r = together.shape[1]
         shared = together.reshape(-1, 3, r)
@@ -467,11 +489,12 @@ class Parts:
         return change.reshape(-1, r)
 
     def _slope_for(self, balance: Balance, lacking: Array, gap: Array) -> _Slope:
-        """The slope of a state, or the last one where that serves.
+        """The tangent stiffness of a state, or the last one if it still serves.
 
-        Far from balance: where parts have hardly turned and `MOST_LEFT` holds. Near it corrections are mixed, what
-        the slope misses is learnt, and it serves while two of them gain at all. What another load lacked tells
-        nothing of the slope, nor do volumes alone; one that ended far from its balance leaves none.
+        Far from equilibrium it serves if the parts have hardly turned and the residual fell to `MOST_LEFT`. Near
+        it, Anderson acceleration learns what the tangent misses, so it serves as long as two corrections reduce the
+        residual. Residuals under another load do not count, nor do corrections of volumes alone. If the solve of
+        the last load ended far from equilibrium, the tangent is assembled anew.
         """
         turns = balance.parts.turns
         lacks = max(
@@ -491,10 +514,10 @@ class Parts:
         return slope
 
     def _slope_at(self, balance: Balance, turns: Array, *, forceless: bool = False) -> _Slope:
-        """The slope of a state; `forceless` as if nothing acted in it nor on it, which is not negative."""
+        """The tangent stiffness of a state; `forceless` leaves out stress and load: it is never negative."""
         n, m, k = self._n_shared, self.n_parts, BORDER
         acting: _Acting = balance.parts
-        # of the border those of each part, and after them the pressures of further volumes
+        # border unknowns: those of each part, then the pressures of the further volumes
         columns = [np.append(k * e + np.arange(k), k * m + np.arange(self._n_further)) for e in range(m)]
         size = k * m + self._n_further
         border, corner = np.zeros((n, 3, size)), np.zeros((size, size))
@@ -513,7 +536,9 @@ class Parts:
             corner[np.ix_(at[1:k], at[1:k])] += own
             corner[k * e, k * e] += self.give[e]
             if not (part.inner | part.shared).any() and not self.give[e]:
-                corner[k * e, k * e] = 1.0  # it is held all over, and its pressure is at rest
+                corner[k * e, k * e] = (
+                    1.0  # held all over: no displacement fixes the pressure, so it stays zero
+                )
             joined = pushes[part.shared] - (part.follows.T @ within).reshape(-1, 3, len(at))
             border[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", joined, q)
         flat = border.reshape(3 * n, size)
@@ -523,11 +548,11 @@ class Parts:
         return _Slope(turns, *of_nodes, columns, pushed, flat, answers, flat.T @ together + corner)
 
     def _foreseen(self, balance: Balance) -> Array:
-        """(n_p, 3) displacement in the parts' frames that the last correction foresaw of a state.
+        """(n_p, 3) displacement in the parts' frames that the last correction predicted for a state.
 
-        To first order. What is added on the way turns, and adding stretches what turns: forces of a stretch that
-        the next correction takes off make a slope that leads astray where a body is slender (Magisano, Leonetti and
-        Garcea, Comput. Methods Appl. Mech. Engrg. 313, 2017).
+        The prediction is of first order. The state itself has a further stretch, as adding a displacement to a part
+        that turns stretches it. The next correction removes that stretch, but its forces would spoil the tangent of
+        a slender body (Magisano, Leonetti and Garcea, Comput. Methods Appl. Mech. Engrg. 313, 2017).
         """
         before = self._before
         if before is None or before.load is not balance.load:
@@ -543,10 +568,9 @@ class Parts:
     def _turning(
         self, number: int, q: Array, balance: Balance, away: Array, forceless: bool
     ) -> tuple[Array, Array]:
-        """What turning a part adds to its slope, `U C U^T`: U (n, 3, 6) in its frame, and C^-1 (6, 6).
+        """The rotational terms of a part's tangent, `U C U^T`: U (n, 3, 6) in its frame, and C^-1 (6, 6).
 
-        See the head of this file; `away` (n, 3) is its displacement there. Its weight presses its closed surface,
-        so that it turns as one.
+        See the head of this file. `away` (n, 3) is the displacement in the part's frame.
         """
         part, acting, span = self.parts[number], balance.parts, self._spans[number]
         levers = part.body.levers
@@ -570,7 +594,10 @@ class Parts:
         return np.concatenate([_turn_of(levers, y), slope], axis=2), inverse
 
     def _joined_at(self, turns: Array) -> Array:
-        """(m, 3, 3) rotations for a correction: these, or those of the last factor where no part has left it."""
+        """Factorise the shared nodes' stiffness at rotations (m, 3, 3); returns the rotations that the factor has.
+
+        If no part has turned by `SAME_TURN` since the last factor, that one is kept.
+        """
         if self._turns is not None and np.abs(turns - self._turns).max() < SAME_TURN:
             return self._turns
         matrix = self._ground_joining.copy()
@@ -583,7 +610,7 @@ class Parts:
         return turns
 
     def energy(self, balance: Balance) -> float:
-        """Elastic energy [J], that of springs to the ground too."""
+        """Elastic energy of the parts and of the springs to the ground [J]."""
         total: float = balance.parts.energy
         if self._ground is not None:
             u = balance.x[: self.problem.formulation.surface.n_nodes].reshape(-1)
@@ -591,20 +618,23 @@ class Parts:
         return total
 
     def mean_pressure(self, balance: Balance) -> float:
-        """By volume [Pa]: a part's is that of the tractions, as in one that is not swollen."""
+        """Volume mean of the pressure [Pa]; a part's is that of its tractions, without the swelling."""
         m, acting = self.n_parts, balance.parts
         volumes, shares = self.volumes[:m], 0.0
         for part, span in self._each():
             shares += part.swelling.pressure(acting.away[span]) / 3.0
-        # a fluid's pressure is that at the datum; a squeeze by weight is none of the tractions'
+        # an incompressible part's pressure is that at the datum; compression by the weight is not in the
+        # tractions
         give = self.give[:m]
         above = np.where(give > 0.0, acting.squeezed[:m] / np.where(give > 0.0, give, 1.0), acting.datum)
         return float(((balance.pressure[:m] - above) @ volumes + shares) / volumes.sum())
 
     def scalars(self, balance: Balance) -> dict[str, float]:
-        """`parts`, `part_rotation` the largest between two [rad], `part_strain` the largest within one.
+        """Outputs by name.
 
-        And of each `rotation_of_part_1` from rest [rad], `strain_of_part_1`, and so on.
+        `parts` is their number, `part_rotation` the largest rotation between two [rad], `part_strain` the largest
+        strain within one. `rotation_of_part_1` is the rotation of part 1 from rest [rad], `strain_of_part_1` its
+        strain, and so on.
         """
         turns = balance.parts.turns
         between = _angles(np.einsum("aij,bij->ab", turns, turns))
@@ -616,12 +646,12 @@ class Parts:
         return {name: float(value) for name, value in found.items()}
 
     def _strains(self, balance: Balance) -> list[float]:
-        """Of each part, see `surface_strain`: of its facets as they were, which do not grow finer at rims."""
+        """`surface_strain` of each part, on its facets before the cut along rims, which makes finer ones."""
         positions, ratio = self.rest + balance.x, self.parts[0].form.poisson_ratio
         return [surface_strain(self.rest, positions, t, ratio) for t in self.cut.uncut or self.cut.parts]
 
     def reserved(self, status: Status, balance: Balance) -> Status:
-        """The status, with what the parts do not follow: too few of them, strain within one."""
+        """The status, with a warning if there are too few parts or the strain within one is too large."""
         if self.n_parts < self.wanted:
             message = f"{self.wanted} parts are called for, and {self.n_parts} made"
             why = f" ({self.cut.refused})" if self.cut.refused else ""
@@ -636,18 +666,18 @@ class Parts:
 
 
 def _angles(traces: Array) -> Array:
-    """Of rotations by their traces [rad]."""
+    """Angles of rotations [rad], from the traces of their matrices."""
     return np.asarray(np.arccos(np.clip((traces - 1.0) / 2.0, -1.0, 1.0)))
 
 
 def least_eigenvalue(apply: Callable[[Array], Array], start: Array) -> float:
-    """The least real part of an eigenvalue of a map (n,) -> (n,), by Arnoldi's method."""
+    """The least real part of an eigenvalue of a linear map (n,) -> (n,), by Arnoldi's method."""
     count = min(KRYLOV, len(start))
     basis, projected = np.zeros((count + 1, len(start))), np.zeros((count + 1, count))
     basis[0] = start / np.linalg.norm(start)
     for k in range(count):
         image = apply(basis[k])
-        for _ in range(2):  # once leaves rounding
+        for _ in range(2):  # one Gram-Schmidt pass leaves rounding
             shares = basis[: k + 1] @ image
             image = image - shares @ basis[: k + 1]
             projected[: k + 1, k] += shares
@@ -657,26 +687,29 @@ def least_eigenvalue(apply: Callable[[Array], Array], start: Array) -> float:
 
 
 def inverse_inertia(stretch: Array) -> Array:
-    """(3, 3) by what couples arms turn a part, from the sum (3, 3) of the products of its arms and positions."""
+    """(3, 3) M^-1 of the head of this file: moment -> rotation; `stretch` (3, 3) is P."""
     return np.asarray(np.linalg.inv(np.trace(stretch) * np.eye(3) - stretch))
 
 
 def _turn_of(levers: Array, y: Array) -> Array:
-    """(n, 3, 3) W: how nodes that move turn a part with arms and positions (n, 3); the turn is sum W^T dy."""
+    """(n, 3, 3) W of the head of this file: nodes that move by dy turn the part by sum W^T dy."""
     return np.einsum("kb,nab->nak", inverse_inertia(levers.T @ y), (levers @ TURNED).reshape(-1, 3, 3))
 
 
 def turned_block(matrix: Array, q: Array, p: Array) -> Array:
-    """(3n, 3n) symmetric matrix between a part's frame and the world's: q^T M p node by node."""
+    """(3n, 3n) a symmetric matrix M, turned from a part's frame: q^T M p for each pair of nodes."""
     n = len(matrix)
     half = (matrix.reshape(n, n // 3, 3) @ q).reshape(n, n)
     return (half.T.reshape(n, n // 3, 3) @ p).reshape(n, n)
 
 
 def _squeeze(part: Part) -> tuple[Array, Array]:
-    """What the squeeze of a part under the pressures x, y, z about its nodes' mean takes, over their slopes.
+    """Compression of a part under unit pressure gradients along x, y and z, zero at the mean of its nodes.
 
-    Forces (n, 3, 3) [N/(Pa/m)] without its swelling, and the volume (3,) [m^3/(Pa/m)].
+    Returns
+    -------
+    forces : (n, 3, 3) elastic forces of it, without those of the swelling [N/(Pa/m)]
+    volumes : (3,) change of volume [m^3/(Pa/m)]
     """
     moved = part.form.squeezed()
     swells = part.swelling.beyond + part.form.surface.area_vectors
@@ -684,21 +717,22 @@ def _squeeze(part: Part) -> tuple[Array, Array]:
 
 
 def _spans(sizes: Index) -> list[slice]:
-    """Where things of such sizes are that lie one after another."""
+    """Slices of consecutive blocks of these sizes."""
     ends = np.cumsum(sizes)
     return list(map(slice, (ends - sizes).tolist(), ends.tolist()))
 
 
 def _summing(places: Index, count: int) -> sparse.csr_array:
-    """(count, k) sums what has these places (k,)."""
+    """(count, k) matrix that sums entries with the same place (k,)."""
     ones, every = np.ones(len(places)), np.arange(len(places))
     return sparse.csr_array(sparse.coo_array((ones, (places, every)), shape=(count, len(places))))
 
 
 def _tractions(surface: SurfaceMesh, held: Mask, on_caps: Mask, n_body: int) -> Index:
-    """Of a part's facets: those with nodes (N,) on caps share them in pairs, of a large body all.
+    """(F,) number of the traction of each facet; pairs of facets share one at caps, or all over a large body.
 
-    With one of each facet the few nodes of a cap would follow tractions that they do not resolve, and stiffen it.
+    With one traction for each facet, the few nodes of a cap would have to follow tractions that they do not
+    resolve, and the cap would be too stiff.
     """
     from vdm.boundary.operators import precision  # numba takes a third of a second to import
 
@@ -707,7 +741,7 @@ def _tractions(surface: SurfaceMesh, held: Mask, on_caps: Mask, n_body: int) -> 
 
 
 def _rim(surface: SurfaceMesh, held: Mask) -> Mask | None:
-    """(N,) nodes at the rim of what is held, None where there is none."""
+    """(N,) mask of the nodes at the rims of supports; None if there are no rims."""
     start, end = surface.edges.T
     crossing = surface.edges[held[start] != held[end]]
     rim = np.zeros(surface.n_nodes, np.bool_)
@@ -716,7 +750,7 @@ def _rim(surface: SurfaceMesh, held: Mask) -> Mask | None:
 
 
 def pieces_of(surface: SurfaceMesh) -> list[Index]:
-    """Nodes of pieces of a surface: halves by area across their longest axes, of these again, and so on."""
+    """Nodes of pieces of a surface, halved by area across the longest axis `HALVINGS` times."""
     pieces = [np.arange(surface.n_nodes)]
     for _ in range(HALVINGS):
         pieces = [half for nodes in pieces for half in _halves(surface, nodes)]
@@ -732,9 +766,10 @@ def _halves(surface: SurfaceMesh, nodes: Index) -> list[Index]:
 
 
 def parts_wanted(surface: SurfaceMesh, pieces: list[Index], displacement: Array) -> int:
-    """How many parts a body needs that moves by (N, 3): 1, or the power of two that leaves `MOST_TURN` in each.
+    """How many parts a body needs for a displacement (N, 3): 1, or a power of two.
 
-    By the small rotations that best fit its `pieces_of`, the largest between two of them.
+    Each of its `pieces_of` has a best-fit small rotation. The largest difference between two of them is spread over
+    the parts, at most `MOST_TURN` in each.
     """
     turns = np.array([_small_rotation(surface, nodes, displacement) for nodes in pieces])
     spread = float(np.linalg.norm(turns[:, None] - turns[None], axis=2).max())
@@ -742,7 +777,7 @@ def parts_wanted(surface: SurfaceMesh, pieces: list[Index], displacement: Array)
 
 
 def _small_rotation(surface: SurfaceMesh, nodes: Index, displacement: Array) -> Array:
-    """(3,) rotation vector that best fits the motion of some nodes, by area."""
+    """(3,) rotation vector [rad] that best fits the displacement of some nodes, weighted by area."""
     area = surface.nodal_areas[nodes][:, None]
     arms = surface.points[nodes] - (area * surface.points[nodes]).sum(axis=0) / area.sum()
     moved = (area * np.cross(arms, displacement[nodes])).sum(axis=0)
@@ -751,9 +786,10 @@ def _small_rotation(surface: SurfaceMesh, nodes: Index, displacement: Array) -> 
 
 
 def surface_strain(rest: Array, positions: Array, corners: Index, poisson_ratio: float) -> float:
-    """Largest principal stretch of facets (F, 3), less 1, that 99 % of the area stays below.
+    """Largest principal strain, |stretch - 1|, of facets `corners` (F, 3), not exceeded on 99 % of the area.
 
-    Under a surface without load the thickness takes what Poisson's ratio says, at 1/2 what the area loses.
+    The stretch along the normal follows from Poisson's ratio, as under a surface without load: at nu = 1/2 it keeps
+    the volume. `rest` and `positions` (n, 3) are the nodes [m].
     """
     sides = [
         np.stack([places[corners[:, k]] - places[corners[:, 0]] for k in (1, 2)], axis=1)

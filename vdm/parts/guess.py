@@ -1,6 +1,6 @@
-"""Guesses how a body moves at small displacements, at a hundredth of the cost of its boundary elements.
+"""A cheap estimate of small displacements, at a hundredth of the cost of boundary elements.
 
-Displacements are polynomials in the volume: sums of the monomials m_i up to `DEGREE`, by Ritz's method. The mean
+Ritz's method: displacements are polynomials in the volume, sums of the monomials m_i up to `DEGREE`. The mean
 stress s = kappa div u is an unknown polynomial of one degree less, so that nu = 1/2 has a solution too:
 
 `int 2 mu e(v) : (e(u) - tr e(u) I / 3) + s div v = F . v`, `int q (div u - s / kappa) = 0`.
@@ -8,9 +8,9 @@ stress s = kappa div u is an unknown polynomial of one degree less, so that nu =
 Volume integrals follow from surface integrals. A monomial m of degree k has `(k + 3) int_V m = int_S m x . n`, and
 x . n is constant on a facet.
 
-A polynomial that is zero on the held nodes is too stiff beside them. Springs hold it instead. Their stiffness is
-that of a half-space under waves that the polynomials do not resolve, as in `vdm.peers.bem_sparse`; the coarse mesh
-is one of as many nodes as monomials.
+Polynomials that vanish at the held nodes are too stiff near them, so springs hold these nodes instead. Their
+stiffness is that of a half-space under waves that the polynomials do not resolve, as in `vdm.peers.bem_sparse`. The
+coarse mesh there becomes one with as many nodes as there are monomials.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from vdm.peers.bem import BoundaryFormulation
 from vdm.problem import Problem
 from vdm.surface import SurfaceMesh
 
-# of the polynomials: their energy is of degree 8, to which `sixteen_points` is exact
+# of the displacement; the energy has degree 8, which `sixteen_points` integrates exactly
 DEGREE = 5
 
 
 def guessed(problem: Problem, load: Load) -> Array:
-    """(N, 3) displacement [m] of a problem of boundary elements.
+    """(N, 3) estimated displacement [m] of a problem of boundary elements.
 
     Its rotations are about ten per cent wrong, a quarter to a third too small in thin curved walls, and up to three
-    times too large where a narrow tip is held by few nodes. A fluid in cavities is left out.
+    times too large where a narrow tip is held by few nodes. It ignores fluid in cavities.
     """
     form, support = problem.formulation, problem.support
     assert isinstance(form, BoundaryFormulation)
@@ -79,7 +79,7 @@ def guessed(problem: Problem, load: Load) -> Array:
 
 
 def _moments(points: Array, surface: SurfaceMesh) -> Array:
-    """(n, n, n) volume integrals of x^i y^j z^k [m^3]; the nodes `points` (N, 3) are an affine map of the mesh."""
+    """(n, n, n) volume integrals of x^i y^j z^k [m^3]; `points` (N, 3) are an affine image of the nodes."""
     rule, weights = sixteen_points()
     corners = points[surface.triangles]
     places = np.einsum("ka,fac->cfk", rule, corners).reshape(3, -1)

@@ -1,16 +1,16 @@
-"""A body in parts at small displacements: the stiffnesses of the parts add up, and inner nodes are eliminated.
+"""A body in parts at small displacements: sums the stiffnesses of the parts and condenses the inner nodes.
 
-A is the sum of the parts' S_e at all nodes, where uniform swelling of a part costs nothing. H_e are a part's area
-vectors less the share V_e / V of the body's. The surface o determines the nodes c of caps and rims, and the
-pressures q of the parts:
+A is the sum of the parts' stiffnesses S_e at all nodes. In S_e, uniform swelling of a part costs no energy. H_e are
+a part's area vectors, less the share V_e / V of the body's. Displacements of the surface nodes o determine those of
+the nodes c of caps and rims, and the pressures q of the parts:
 
 `A_cc u_c - H_c q = -A_co u_o`, `H_c^T u_c = -H_o^T u_o`
 
-The second equation makes parts swell as the body does. The force on the surface is `A_oo u_o + A_oc u_c - H_o q`.
-Without rims the last H_e follows from the others and is left out. For compressible parts H_e is b and
-`H_c^T u_c + a q = -H_o^T u_o` (`vdm.peers.bem.Swelling`), which is `S = S_0 + b b^T / a` in another form; rims,
-which add no volume in sum, then have a column of their own. No matrix of the whole body is made: caps are few,
-and free nodes are eliminated part by part.
+The second equation makes each part swell by the same share as the body. The force on the surface is
+`A_oo u_o + A_oc u_c - H_o q`. Without rims, the last H_e depends on the others and is left out. For compressible
+parts, H_e is b and `H_c^T u_c + a q = -H_o^T u_o` (`vdm.peers.bem.Swelling`): `S = S_0 + b b^T / a` as a bordered
+system. Rims then have a column of their own, as the volume at rims does not change in sum. The matrix of the whole
+body is never assembled: caps have few nodes, and free nodes are condensed part by part.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from vdm.surface import SurfaceMesh
 
 
 class JoinedFormulation(BoundaryFormulation):
-    """A `BoundaryFormulation` of a body, built from those of its parts."""
+    """The `BoundaryFormulation` of a body, assembled from those of its parts."""
 
     has_matrix = False
 
@@ -44,7 +44,10 @@ class JoinedFormulation(BoundaryFormulation):
         *,
         has_rims: bool,
     ) -> None:
-        """`shared` (n,) marks the nodes C of all parts; `joined` is the factor of their stiffness at rest."""
+        """`shared` (n,) marks the nodes C of all parts; `joined` factors their condensed stiffness at rest.
+
+        `has_rims` tells whether parts are cut along the rims of supports.
+        """
         self._parts, self._shared_nodes, self._joined = parts, shared, joined
         super().__init__(whole.surface, whole.parameters)
         n_surface = whole.surface.n_nodes
@@ -85,7 +88,7 @@ class JoinedFormulation(BoundaryFormulation):
         return self.surface.n_nodes
 
     def known_forces(self, forces: Callable[[SurfaceMesh], Array]) -> Array:
-        """From the parts, each of which resolves the forces under its rims."""
+        """As in `BoundaryFormulation`, summed over the parts, which resolve the forces under their rims."""
         given = [part.form.known_forces(forces) for part in self._parts]
         force = np.zeros((len(self._shared_nodes), 3, len(given[0])))
         for part, own in zip(self._parts, given, strict=True):
@@ -94,7 +97,7 @@ class JoinedFormulation(BoundaryFormulation):
         return np.asarray(self._condensed(force, apart).transpose(2, 0, 1))
 
     def pressure_force(self, pressure: Array) -> Array:
-        """As in `BoundaryFormulation`; caps, rims and compressible parts respond too."""
+        """As in `BoundaryFormulation`, with the response of caps, rims and compressible parts."""
         linear = np.column_stack([self.surface.points, np.ones(len(pressure))])
         fitted = np.linalg.lstsq(linear, pressure, rcond=None)[0]
         force = np.zeros((len(self._shared_nodes), 3))
@@ -114,10 +117,10 @@ class JoinedFormulation(BoundaryFormulation):
         return self._condensed(force, pressed.T @ moved.reshape(-1, k))
 
     def _condensed(self, force: Array, swells: Array) -> Array:
-        """(N, 3, k) forces on the surface, from (n, 3, k) at all nodes, with the caps in equilibrium.
+        """(N, 3, k) forces on the surface that condensation leaves of forces (n, 3, k) at all nodes.
 
-        `swells` (p, k) is the excess swelling of each part, which the pressures remove, or reduce to what `give`
-        allows.
+        `swells` (p, k) is the excess volume of each part. The pressures remove it, or reduce it to what the
+        compressibility `give` allows.
         """
         n, k = self.surface.n_nodes, force.shape[2]
         caps = self._caps.solve(np.asfortranarray(-force[n:].reshape(-1, k)))
@@ -127,7 +130,7 @@ class JoinedFormulation(BoundaryFormulation):
         return np.asarray((force + self._of_parts(moved))[:n] - self._apart[:n] @ pressures)
 
     def _of_parts(self, x: Array) -> Array:
-        """Forces (n, 3, k) of displacements (n, 3, k) at all nodes, caps included."""
+        """Elastic forces (n, 3, k) of displacements (n, 3, k) at all nodes, caps included."""
         force = np.zeros_like(x)
         for part in self._parts:
             force[part.nodes] += part.form.swollen_forces(x[part.nodes])
@@ -154,9 +157,9 @@ class JoinedFormulation(BoundaryFormulation):
 
 
 class JoinedFactor:
-    """Factor of all parts at rest over the free nodes: shared nodes first, then each part's inner nodes.
+    """Factor of the stiffness of all parts at rest: condensed to the shared nodes, then solved inside each part.
 
-    The pressures of the parts are a border of their own.
+    The pressures of the parts border the system; a Schur complement eliminates them.
     """
 
     def __init__(
@@ -178,7 +181,7 @@ class JoinedFactor:
         return np.asarray(moved[self._unknowns] - self._answers[self._unknowns] @ pressures)
 
     def _answer(self, force: Array) -> Array:
-        """Displacements of all nodes under forces (3n,) or (3n, m), without the border."""
+        """Displacements of all nodes under forces (3n,) or (3n, m), without the pressures."""
         inside, right = list[Array](), force[self._shared]
         for part in self._parts:
             own = force[dofs(part.nodes[part.inner])]

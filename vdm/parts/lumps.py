@@ -1,12 +1,12 @@
-"""A body with lumps: inner regions of their own modulus, each a body of boundary elements, joined at their nodes.
+"""A body with lumps: inner regions with their own moduli. Each region has boundary elements; they share nodes.
 
-A is the sum of the stiffnesses S_r of all regions, each on its own closed boundary. Eliminating the inner nodes i
-leaves on the surface o, with `X = A_ii^-1 - A_ii^-1 G (G^T A_ii^-1 G)^-1 G^T A_ii^-1`,
+A is the sum of the stiffnesses S_r of all regions, each on its own closed boundary. Static condensation of the
+inner nodes i leaves the stiffness of the surface nodes o:
 
-`S = A_oo - A_oi X A_io`.
+`S = A_oo - A_oi X A_io`, `X = A_ii^-1 - A_ii^-1 G (G^T A_ii^-1 G)^-1 G^T A_ii^-1`.
 
-G are the area vectors of the regions that keep their volume. The region at the surface is not among them: its
-pressure is the body's.
+G are the area vectors of the incompressible regions, whose Lagrange multipliers are their pressures. The region at
+the surface is not among them: its pressure is the body's.
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from vdm.parts.part import dofs
 from vdm.peers.bem import MAX_NODES, BoundaryFormulation, too_large
 from vdm.solution import SolverError
 
-# of the number of surface nodes: lumps with fewer get halved facets, for an error below the surface's own
+# share of the number of surface nodes: lumps with fewer nodes get halved facets, so that the surface's error
+# dominates
 HALVED = 0.25
 
 
 @dataclass(frozen=True)
 class _Inside:
-    """The eliminated inner nodes, k of them, beside n others.
+    """The k condensed inner nodes of a system with n others.
 
     Attributes
     ----------
     coupling : (3n, 3k) A_oi
-    factor : of A_ii, as `scipy.linalg.cho_factor` gives it
+    factor : Cholesky factor of A_ii, from `scipy.linalg.cho_factor`
     pressed : (3k, m) A_ii^-1 G
     schur : (m, m) G^T A_ii^-1 G
     """
@@ -48,7 +49,7 @@ class _Inside:
 
     @classmethod
     def of(cls, matrix: Array, n: int, pressures: Array) -> tuple[Array, _Inside]:
-        """S (3n, 3n) from A (3(n + k), 3(n + k)) and G (3k, m), and the elimination that gives it."""
+        """S (3n, 3n) from A (3(n + k), 3(n + k)) and G (3k, m), and the condensed nodes."""
         own, coupling = matrix[3 * n :, 3 * n :], matrix[: 3 * n, 3 * n :].copy()
         factor = linalg.cho_factor(own, lower=True, check_finite=False)
         pressed = np.asarray(linalg.cho_solve(factor, pressures))
@@ -71,7 +72,15 @@ class _Inside:
 
 @dataclass
 class _Regions:
-    """Sums over the regions added so far; nodes are those of the surface, its rims and the inside."""
+    """Sums over the regions added so far, at the nodes of the surface, its rims and the inside.
+
+    Attributes
+    ----------
+    points : (n, 3) [m]
+    dtype : precision of the integrals
+    matrix : (3n, 3n) stiffness A [N/m]
+    weight : (3n, 4) forces of the pressures x, y, z and 1
+    """
 
     points: Array
     dtype: type[np.floating[Any]]
@@ -85,10 +94,10 @@ class _Regions:
     def add(
         self, triangles: Index, modulus: float, ratio: float, numbers: Index | None, arms: Array
     ) -> Array:
-        """Add a region with the closed outward boundary (F, 3); returns its area vectors (n, 3).
+        """Add a region with the closed outward boundary `triangles` (F, 3); returns its area vectors (n, 3).
 
-        `weight` gains the forces of the pressures x, y, z, of `arms` (n, 3), and 1, as in
-        `BoundaryFormulation.pressure_force`.
+        Facets with the same number in `numbers` (F,) share a traction. `weight` gains the forces of the pressures
+        x, y, z, the columns of `arms` (n, 3), and 1, as in `BoundaryFormulation.pressure_force`.
         """
         from vdm.boundary.operators import Facets, surface_stiffness
 
@@ -115,9 +124,9 @@ class _Regions:
 
 
 class LumpyFormulation(BoundaryFormulation):
-    """A `BoundaryFormulation` of a body with lumps (`Parameters.lumps`); the inner nodes are eliminated.
+    """The `BoundaryFormulation` of a body with lumps (`Parameters.lumps`), whose inner nodes are condensed.
 
-    Where the body keeps its volume and a lump does not, the body gets Poisson's ratio `INCOMPRESSIBLE`.
+    If the body is incompressible and a lump is not, the body gets Poisson's ratio `INCOMPRESSIBLE`.
 
     Raises
     ------
@@ -147,7 +156,7 @@ class LumpyFormulation(BoundaryFormulation):
         sums = _Regions(np.vstack([cut.points, lumps.points]), precision(surface.n_nodes))
         arms = sums.points - surface.points.mean(axis=0)
 
-        # inner nodes are numbered after those of the rims
+        # the nodes of the rims come between those of the surface and the inner ones
         bounds = lumps.bounds(np.where(lumps.facets < surface.n_nodes, 0, n - surface.n_nodes) + lumps.facets)
         numbers = np.arange(len(cut.triangles))
         if sums.dtype is np.float32:

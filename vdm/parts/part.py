@@ -1,4 +1,4 @@
-"""One part of a body: its stiffness, and its condensed stiffness at the nodes that it shares."""
+"""One part of a body: its stiffness, condensed to the nodes that it shares with other parts."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFac
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a body, with n of its nodes; I are the inner free nodes, C the shared free ones.
+    """One part of a body, with n nodes; I are the inner free nodes, C the free nodes shared with other parts.
 
     Attributes
     ----------
-    nodes : (n,) of the body
-    form : its stiffness
-    body : its surface, ready to be deformed
+    nodes : (n,) their numbers in the body
+    form : the stiffness S of the part
+    body : the deformable surface of the part
     inner, shared : masks (n,) of I and C
-    owns : mask (n,) of the nodes of the body's surface that turn with the part
-    walls : (F, k) whether a facet belongs to the wall of each fluid-filled cavity
-    areas : (n,) area of each node on the part's surface
     places : (n_C,) position of the shared nodes among those of all parts
+    owns : mask (n,) of the surface nodes whose loads turn with this part
+    walls : (F, k) whether each facet belongs to the wall of each fluid-filled cavity
+    areas : (n,) nodal area on the part's surface, over the total
     block : factor of S_II
-    follows : (3 n_I, 3 n_C) T
-    carried : (3 n_C, 3 n_C) S_CC - S_CI T
+    follows : (3 n_I, 3 n_C) T = S_II^-1 S_IC
+    carried : (3 n_C, 3 n_C) condensed stiffness S_CC - S_CI T
     """
 
     nodes: Index
@@ -46,7 +46,7 @@ class Part:
 
     @property
     def swelling(self) -> Swelling:
-        """The swelling of its form."""
+        """The `Swelling` of `form`, which a part always has."""
         assert self.form.swelling is not None
         return self.form.swelling
 
@@ -61,7 +61,7 @@ def condensed(
     places: Index,
     block: Factor | None,
 ) -> Part:
-    """A part with its inner nodes eliminated; `block` is their factor without the swelling, where known."""
+    """A `Part` with its inner nodes condensed; `block` is their factor without the swelling, if it is known."""
     i, c = dofs(np.flatnonzero(inner)), dofs(np.flatnonzero(shared))
     follows, carried = np.zeros((len(i), 0)), np.zeros((0, 0))
     swelling = form.swelling
@@ -85,12 +85,12 @@ def condensed(
 
 
 class Nothing:
-    """The factor of no unknowns: for parts without free inner nodes, or parts that share none."""
+    """The factor of an empty matrix, for parts without free inner nodes, or bodies without shared nodes."""
 
     def solve(self, right_hand_side: Array) -> Array:
         return right_hand_side
 
 
 def dofs(nodes: Index) -> Index:
-    """(3n,) unknowns of nodes."""
+    """(3n,) degrees of freedom of nodes (n,)."""
     return np.asarray((3 * nodes[:, None] + np.arange(3)).reshape(-1), np.int64)
