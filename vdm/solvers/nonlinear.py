@@ -1,4 +1,4 @@
-"""Large deformation in total form: current areas and normals, exact volume, load stepping with halving (38)."""
+"""Large deformation in total form: current areas and normals, exact volume, load steps that are halved (38)."""
 
 from __future__ import annotations
 
@@ -22,27 +22,28 @@ from vdm.solvers.audit import ERROR_LIMIT, Audit
 from vdm.solvers.linear import BorderedFactor
 
 MAX_ITERATIONS = 60
-HISTORY = 10
-FURTHEST = 3.0  # sizes of the body
-# of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
+HISTORY = 10  # depth of the Anderson acceleration; more iterations than that make a solve a hard one
+FURTHEST = 3.0  # largest displacement of a solve that goes on, in sizes of the body
+# share of the held nodes' motion that no rigid motion explains: beyond it they do not move as one body
 AS_ONE = 0.3
-LEAST_TURN = 1e-9  # of the second moment of the held nodes: rotations about which they say less are not made
-MOST_DEGREE = 3  # of the polynomial in the loads that a start is made by
-MOST_STATES = 10  # converged ones that it is made of: so many tell a cubic of two loads
-FURTHEST_AHEAD = 2.0 ** (MOST_DEGREE + 1)  # sum of their weights without signs: of equal steps in line
-MISSED = (
-    0.1  # of a load's change, that a mixture of loads may miss, and of the way, that a degree more may add
-)
-SAME = 1e-12  # of squares of loads: below it changes do not tell a direction
-# sizes of the body; forces that move it less are measured by those that move it so far
+LEAST_TURN = 1e-9  # of the second moment of the held nodes: about axes with less, the body is not turned
+MOST_DEGREE = 3  # of the polynomial in the loads that predicts the start of a step
+MOST_STATES = 10  # converged states that the prediction uses: ten determine a cubic in two loads
+FURTHEST_AHEAD = 2.0 ** (
+    MOST_DEGREE + 1
+)  # limit of the sum of |weights|; equal steps in line reach it less 1
+# share of a load's change that a mixture of loads may miss, and of the last degree's step that the next may add
+MISSED = 0.1
+SAME = 1e-12  # relative size of squared load changes below which their direction is rounding
+# sizes of the body: smaller forces than those that move it so far do not scale the residual
 SMALLEST_MOTION = 1e-6
-# of the balance's residual over the larger of the internal and the applied forces, or over the force of a pressure
-# that moves the body by `SMALLEST_MOTION` where both are smaller
+# of the residual, over the larger of the internal and the applied forces, or, if both are smaller, over the force
+# of a pressure that moves the body by `SMALLEST_MOTION`
 TOLERANCE = 1e-8
 VOLUME_TOLERANCE = 1e-13  # of |V - V0| / V0
-# of that residual: below it the slope of a state has its corrections mixed too
+# relative residual below which Anderson acceleration also mixes the corrections of a body with a tangent
 NEAR = 0.02
-GROWTH_LIMIT = 1e3  # a residual that grew by this much will not come back
+GROWTH_LIMIT = 1e3  # a residual that grew by this factor will not converge
 
 REMEDY = "use smaller load steps, a smaller load or a stiffer material; a body may snap through there"
 UNSTABLE = "the one that was found is not stable"
@@ -53,17 +54,17 @@ LEFT = (
 
 @dataclass(frozen=True)
 class Balance:
-    """A state of n nodes, m pressures and what its balance lacks.
+    """A state of n nodes and m pressures, with its residuals: those of equilibrium and of the volume constraints.
 
     Attributes
     ----------
-    load : that acts
-    x : (n, d) unknowns
-    pressure : (m,) [Pa]
-    gap : (m,) change of each volume that is kept, over its size at rest
-    lacking : (n, d) generalised force, internal less applied [N]
-    scale : the larger of the internal and the applied forces [N]
-    parts : of the body, what its own correction reads again
+    load : the load that acts
+    x : (n, d) unknowns: displacements, or amplitudes along the normals [m]
+    pressure : (m,) Lagrange multipliers of the kept volumes [Pa]
+    gap : (m,) residual of each volume constraint, over the volume at rest
+    lacking : (n, d) residual of equilibrium: generalised force, internal less applied [N]
+    scale : norm of the larger of the internal and the applied forces [N]
+    parts : intermediate results that the body's `correction` uses again
     """
 
     load: Load
@@ -76,36 +77,38 @@ class Balance:
 
 
 class Large(Protocol):
-    """A body at large displacements: n nodes, of which the first N are the surface's, and m kept volumes."""
+    """A body at large displacements with n nodes, the first N of them on the surface, and m kept volumes."""
 
     rest: Array  # (n, 3) [m]
     free: Mask  # (n,)
-    n_pressures: int
-    # whether `correction` has the slope of the state itself, so that nothing is to be learnt of it
+    n_pressures: int  # m
+    # whether `correction` uses the tangent stiffness of the state, so that Anderson acceleration is not needed
     has_slope: bool
 
     def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
-        """What a state lacks."""
+        """The residuals of a state."""
         ...
 
     def correction(self, balance: Balance, lacking: Array, gap: Array, turn: Array) -> tuple[Array, Array]:
-        """Change of x (n_free, d) and of the pressures (m,) that supplies forces (n, d) and closes gaps (m,).
+        """Change of x (n_free, d) and of the pressures (m,) that removes residuals (n, d) and gaps (m,).
 
-        By a slope near the state; `turn` (3, 3) is how the supports are turned from rest.
+        It solves with a stiffness near the tangent of the state. `turn` (3, 3) is the rotation of the supports from
+        rest.
         """
         ...
 
     def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:  # noqa: ARG002
-        """What closes the gaps of a state to first order after changes that were mixed; here the last one does.
+        """The further change of x (n_free, d) and of the pressures (m,) that closes the gaps to first order.
 
-        Of x (n_free, d) and of the pressures (m,).
+        Anderson acceleration mixes corrections, and the mixture does not close the gaps of this state. By default
+        nothing is added, and the last correction closes them.
         """
         return np.zeros_like(change), np.zeros_like(balance.gap)
 
     def stiffness_left(self, balance: Balance) -> float:  # noqa: ARG002
-        """The least stiffness of a state over what it is without forces: 1 at rest, 0 at a limit point.
+        """The least stiffness of a state, relative to the same state without forces: 1 at rest, 0 at a limit point.
 
-        Negative where a state is not stable; NaN of a body that does not tell it.
+        It is negative for an unstable state, and NaN if the body does not examine stability.
         """
         return np.nan
 
@@ -114,16 +117,16 @@ class Large(Protocol):
         ...
 
     def mean_pressure(self, balance: Balance) -> float:
-        """By volume [Pa]."""
+        """Volume mean of the pressure [Pa]."""
         ...
 
     def reserved(self, status: Status, balance: Balance) -> Status:  # noqa: ARG002
-        """The status of an answer, with what the body itself does not follow; one body follows all it knows."""
+        """The status of an answer, with warnings about what this kind of body does not model; by default none."""
         return status
 
 
 class Whole(Large):
-    """A formulation's body as it is, with the factor at rest for its slope: one fluid, one pressure."""
+    """A body with one pressure and no parts; its corrections use the factor of the stiffness at rest."""
 
     n_pressures = 1
     has_slope = False
@@ -149,7 +152,7 @@ class Whole(Large):
         nodes = self._free_nodes
         target = np.zeros(self.factor.n_border)
         target[0] = -gap[0] * self.rest_volume
-        # the pressure's column stays that of the rest state: it moves no balance, only the way there
+        # the pressure's column stays that at rest: this changes the path of the iteration, not its result
         force, row = (turned(part[nodes], turn.T).reshape(-1) for part in (-lacking, balance.parts[2]))
         change, border = self.factor.solve_updated(force, target, row)
         return turned(change.reshape(len(nodes), -1), turn), border[:1]
@@ -163,7 +166,7 @@ class Whole(Large):
 
 @dataclass(frozen=True)
 class _Converged:
-    """A load and its solution."""
+    """A load and its converged solution."""
 
     load: Load
     x: Array
@@ -172,15 +175,15 @@ class _Converged:
 
 @dataclass(frozen=True, kw_only=True)
 class DeformedStep(Step):
-    """A step whose balance is that of the deformed surface.
+    """A step in equilibrium on the deformed surface.
 
     Attributes
     ----------
-    lacking : (n_held, d) generalised force that the supports give, internal less applied [N]
+    lacking : (n_held, d) generalised force of the supports, internal less applied [N]
     stored : elastic energy [J]
-    balance : of all nodes of the body, of a failed step the last one on the way to its load; None where a solver
-        has none
-    reached : share of the way to its load at which that is
+    balance : equilibrium of all nodes of the body; for a failed step the last one before the failure; None if the
+        solver has none
+    reached : share of the load step at which that equilibrium was found
     """
 
     lacking: Array = field(repr=False)
@@ -201,22 +204,23 @@ class DeformedStep(Step):
 class NonlinearSolver:
     """Finds x and the pressures with `internal(x) - sum p column(x) - force(x) = 0` and each V(x) = V0.
 
-    V is the volume that the body keeps: the polyhedron's, but of the printed form. A part with nu < 1/2 gives
-    way by its pressure over kappa (`vdm.parts.body`).
+    V is the volume that the body keeps: that of the polyhedron, except in the printed form. A part with nu < 1/2
+    changes its volume by its pressure over kappa (`vdm.parts.body`).
 
-    The body's slope (`Large.correction`) turns what the balance lacks into a correction. Where that is not the
-    slope of the state itself, or near the balance, Anderson acceleration mixes the corrections, also by what the
-    last loads told of the slope. A last shift closes the volumes to rounding. A load step starts from the last
-    converged one. Where it fails it is tried again with all corrections mixed, then halved
-    (`solver_common.substeps`). One that failed holds the last balance on the way to its load, and the next step
-    starts where it did. Where the held nodes are moved, the body starts carried along as they are, best fit by a
-    rigid motion.
+    Each iteration solves for a correction of the residual (`Large.correction`). If that does not use the tangent of
+    the state, or near equilibrium, Anderson acceleration mixes the corrections, with those of the last loads. A
+    last correction closes the volumes to rounding.
+
+    A load step starts from the last converged ones. A step that fails is tried again with all corrections mixed,
+    then halved (`solver_common.substeps`). A failed step holds the last equilibrium before the failure, and the
+    next step starts where it started. If the held nodes move, the body starts with the rigid motion that best fits
+    theirs.
 
     Parameters
     ----------
     problem : formulation and supports
-    body : what is solved, None for the formulation's body as it is
-    factor : of the problem, where there is one
+    body : the body to solve; None for a `Whole`
+    factor : factor of the problem; None to make one
     """
 
     def __init__(
@@ -228,14 +232,14 @@ class NonlinearSolver:
         self.free = self.body.free
         self._free_nodes = np.flatnonzero(self.free)
         self._anderson = Anderson(HISTORY)
-        # a node that leaves the body by several of its sizes will not come back
+        # a node that is several sizes of the body away will not converge
         size = float(np.ptp(problem.body.rest, axis=0).max())
         self.reach = FURTHEST * size
         n, d = problem.formulation.surface.n_nodes, problem.formulation.components
         answer = np.zeros((n, d))
         pressed = problem.formulation.pressed[problem.free]
         answer[problem.free] = self.factor.block.solve(pressed.reshape(-1)).reshape(pressed.shape)
-        # the pressure is mixed beside displacements: in units that make its column as long as theirs
+        # Anderson acceleration mixes pressures with displacements: this unit makes their norms alike
         self._unit = float(np.linalg.norm(answer))
         moved = float(np.abs(problem.formulation.displacement(answer)).max())
         push = float(np.linalg.norm(pressed))
@@ -244,23 +248,23 @@ class NonlinearSolver:
         unloaded = Load(np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3)), weight=0.0)
         self._rest = _Converged(unloaded, np.zeros((len(self.free), d)), np.zeros(self.body.n_pressures))
         self._starts = [self._rest]
-        self._path = self._starts  # the last few
-        self._largest, self._number = 0.0, 0  # of steps since the body was at rest
+        self._path = self._starts  # the last converged states of a history
+        self._largest, self._number = 0.0, 0  # largest displacement [m] and step of a history
 
     def begin_at(self, load: Load, x: Array, pressure: Array) -> None:
-        """Start histories from a balance that is known, x (n, d) and pressures (m,) [Pa] under a load."""
+        """Start all histories from a known equilibrium under a load: x (n, d) and pressures (m,) [Pa]."""
         self._starts = [self._rest, _Converged(load, x, pressure)]
 
     def begin_near(self, load: Load, x: Array, pressure: Array) -> None:
-        """Start histories from the balance under a load that is found from a state near it, if one is."""
+        """Start all histories from the equilibrium near a state under a load, if one is found."""
         found, _, _ = self._solve(load, x, pressure, (0.0, 1.0), mixes=not self.body.has_slope)
         if found is not None:
             self.begin_at(load, found.x, found.pressure)
 
     def step(self, load: Load, previous: Step | None = None) -> Step:
-        """Solution of one load; with a previous step, started where the last converged ones point to.
+        """Solution of one load; with a previous step, the start is extrapolated from the last converged ones.
 
-        A start and what is known of the slope change the number of iterations, not what they converge to.
+        The start and the memory of the Anderson acceleration change the number of iterations, not the result.
         """
         self._number += 1
         if previous is None:
@@ -269,7 +273,7 @@ class NonlinearSolver:
         return self._stepped(load)
 
     def _stepped(self, load: Load, *, is_doubted: bool = False) -> DeformedStep:
-        """The next step; one that `is_doubted` keeps stable balances alone, not only where they took long."""
+        """The next step. It checks stability after substeps that took long, and after all if `is_doubted`."""
         last = self._path[-1]
         x, pressure = self._ahead(load)
         substeps, iterations, used, why, mixes = Substeps(), 0, 0, "", not self.body.has_slope
@@ -280,13 +284,13 @@ class NonlinearSolver:
                 _between(last.load, load, target), x, pressure, (reached, target), mixes
             )
             iterations += used
-            if found is None or used > HISTORY:  # on so bent a path the slopes of here mislead further on
+            if found is None or used > HISTORY:  # on so curved a path, these corrections mislead later ones
                 self._anderson = Anderson(HISTORY)
-            if found is None and not mixes:  # a slope misses what strains within a part
+            if found is None and not mixes:  # the tangent neglects terms of the strain within a part
                 mixes = True
                 continue
             mixes = not self.body.has_slope
-            # corrections find balances beyond a limit point too, which a body does not stay in
+            # corrections also find unstable equilibria beyond a limit point
             looked_at = is_doubted or used > HISTORY
             if found is not None and looked_at and self.body.stiffness_left(found) < 0.0:
                 found, why = None, UNSTABLE
@@ -323,9 +327,9 @@ class NonlinearSolver:
         )
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step and what its balance on the deformed surface lacks, under the load that was reached.
+        """The step and its residual on the deformed surface, under the load that was reached.
 
-        Where that is not stable the step, the last one, failed or not, is taken anew by balances that are.
+        If the equilibrium is unstable, the step, which must be the last one, is solved again through stable ones.
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return step, Audit(np.nan)
@@ -348,7 +352,7 @@ class NonlinearSolver:
         if not problem.force(load).any() and not problem.held_unknown(load).any():
             return step, found
         step = replace(step, status=self.body.reserved(step.status, balance))
-        # forces that cancel, as a pressure from all sides, move no more than their rounding, however large they are
+        # forces that cancel, as pressure from all sides does, move the body no more than their rounding does
         column = problem.formulation.columns.first
         acting = np.abs(problem.force(load)) + abs(step.pressure_change) * np.abs(column)
         largest = max(self._largest, float(np.abs(displaced(problem.own_motion(acting))).max()))
@@ -361,21 +365,22 @@ class NonlinearSolver:
         return step, replace(found, error=float(np.abs(displaced(far[:n])).max()) / largest)
 
     def _moved_by_rounding(self, size: float) -> float:
-        """How far the rounding of positions `size` large moves the body [m], by the forces that it makes."""
+        """How far the forces of rounding in positions of magnitude `size` [m] move the body [m]."""
         formulation = self.problem.formulation
         random = np.random.default_rng(0)
         signs = random.choice([-1.0, 1.0], (2, formulation.surface.n_nodes, formulation.components))
-        # a product with random signs is as large as the rows are; other signs, and no motion has these forces
+        # a product with random signs has the size of the rows; new signs, as no displacement has such forces
         forces = np.finfo(np.float64).eps * size * np.abs(formulation.apply(signs[0])) * signs[1]
         change = self.factor.correction(forces, np.zeros(self.factor.n_border))[0]
         return float(np.abs(formulation.displacement(change)).max())
 
     def _ahead(self, load: Load) -> tuple[Array, Array]:
-        """Where converged steps point to under a load that goes on as they went.
+        """Predicted x (n, d) and pressures (m,) under a load, extrapolated from the last converged states.
 
-        By the polynomial in the loads that the fewest of the last steps tell: of a load that grows two tell a line
-        and three a parabola, of two that change apart three tell what is linear in both. Of the last step, where
-        loads go elsewhere, and of a degree while each adds a tenth of the way at most that the last one may.
+        The prediction is a polynomial in the loads, from as few of the last states as determine it. Under one
+        growing load, two states determine a line and three a parabola; under two independent loads, three states
+        determine the linear terms. The degree rises as long as each degree adds at most `MISSED` of what the last
+        one could. If the last states do not determine the load, the prediction is the last state.
         """
         path, last = self._path, self._path[-1]
         products = _products([state.load for state in path], load)
@@ -397,27 +402,30 @@ class NonlinearSolver:
         return found
 
     def _held(self, load: Load) -> Array:
-        """(n, d) x of the held nodes of the body, zero elsewhere."""
+        """(n, d) prescribed x of the held nodes, zero at other nodes."""
         held = np.zeros_like(self._rest.x)
         held[: self.problem.formulation.surface.n_nodes] = self.problem.held_unknown(load)
         return held
 
     def carried(self, x: Array, held: Array) -> tuple[Array, Array]:
-        """As `carried`, of the body's nodes."""
+        """`carried` for the nodes of this body."""
         return carried(self.body.rest, self.problem.held_nodes, x, held)
 
     def _solve(
         self, load: Load, x: Array, pressure: Array, shares: tuple[float, float], mixes: bool
     ) -> tuple[Balance | None, int, str]:
-        """The balance if it was found, iterations, and where they had come to.
+        """The equilibrium, None if not found; the number of iterations; and their last residual in words.
 
-        mixes : whether all corrections are mixed, not only those near the balance
+        Parameters
+        ----------
+        shares : shares of the load step at which the substep starts and ends, for progress
+        mixes : whether to mix all corrections, not only those near equilibrium
         """
         nodes, body, unit = self._free_nodes, self.body, self._unit
         held = self._held(load)
         x = self.carried(x, held)[0]
         turn = self.carried(np.zeros_like(x), held)[1]
-        # what the last load step learnt of the slope holds here too, nearly
+        # corrections of the last load step are nearly valid here
         anderson = self._anderson
         anderson.begin()
         smallest, left = np.inf, ""
@@ -464,9 +472,11 @@ class NonlinearSolver:
 
 
 def carried(rest: Array, nodes: Index, x: Array, held: Array) -> tuple[Array, Array]:
-    """x (n, d) with held `nodes` where `held` has them and the others carried along, and the rotation (3, 3).
+    """x (n, d) with the supports' rigid motion added, and their rotation (3, 3).
 
-    Only where the held nodes move as one body, and not along the normals alone, d = 1. `rest` (n, 3): positions.
+    The held `nodes` get their prescribed values, `held` (n, d). If they move as one body and d = 3, the rigid
+    motion that best fits theirs carries the other nodes along; else these stay. `rest` (n, 3) are the positions at
+    rest [m].
     """
     is_held = np.zeros((len(rest), 1), np.bool_)
     is_held[nodes] = True
@@ -477,7 +487,7 @@ def carried(rest: Array, nodes: Index, x: Array, held: Array) -> tuple[Array, Ar
     before, after = rest[nodes] + start, rest[nodes] + end
     middle, centre = before.mean(axis=0), after.mean(axis=0)
     moment = (before - middle).T @ (after - centre)
-    # what the held nodes leave open, on one line or at one point, is not turned
+    # held nodes on a line or at a point leave rotations undetermined: the added moment sets these to zero
     turn = best_rotation(moment + LEAST_TURN * np.linalg.norm(before - middle) ** 2 * np.eye(3))
     missed = np.linalg.norm((before - middle) @ turn + centre - after)
     if missed > AS_ONE * np.linalg.norm(after - before):
@@ -486,7 +496,7 @@ def carried(rest: Array, nodes: Index, x: Array, held: Array) -> tuple[Array, Ar
 
 
 def turned(vectors: Array, turn: Array) -> Array:
-    """Vectors (n, 3) in rows after a rotation; unknowns along the normals (n, 1) stay."""
+    """Row vectors (n, 3) after a rotation; unknowns along the normals, (n, 1), stay."""
     return vectors @ turn if vectors.shape[1] == 3 else vectors
 
 
@@ -499,25 +509,28 @@ def _hidden(rounding: float, moved: float) -> Status:
 
 
 def _mixed(path: Sequence[_Converged], weights: Array) -> tuple[Array, Array]:
-    """Unknowns and pressures of converged states, mixed."""
+    """Weighted sums of the unknowns and of the pressures of converged states."""
     unknowns, pressures = [state.x for state in path], [state.pressure for state in path]
     return np.tensordot(weights, unknowns, 1), np.tensordot(weights, pressures, 1)
 
 
 def _products(path: Sequence[Load], load: Load) -> Array:
-    """(k, k) of the changes from the last of k loads to those before it, and to another, with each other."""
+    """(k, k) inner products of load changes: from the last of k loads to each before it, and to `load`."""
     total = np.zeros((len(path), len(path)))
     for part in ("contact_pressure", "contact_force", "prescribed", "dead_force", "weight"):
         values = [getattr(state, part) for state in (*path, load)]
         size = max(0 if value is None else np.size(value) for value in values)
         each = np.stack([np.zeros(size) if value is None else np.ravel(value) for value in values])
         changes = np.delete(each, -2, axis=0) - each[-2]
-        total += changes @ changes.T / (np.vdot(each, each) or 1.0)  # parts have units of their own
+        total += changes @ changes.T / (np.vdot(each, each) or 1.0)  # each kind of load has its own unit
     return total
 
 
 def _weights(products: Array, degree: int) -> Array:
-    """(k,) of k loads, see `_products`, by which all powers of another are mixed up to a degree; else NaN."""
+    """(k,) weights of k loads that reproduce the powers of another load up to a degree; NaN if none do.
+
+    `products` (k, k) are those of `_products`.
+    """
     powers = np.arange(1, degree + 1)[:, None]
     products = products / (products.diagonal().max() or 1.0)
     own, aim = products[:-1, :-1] ** powers[:, :, None], products[:-1, -1] ** powers
@@ -529,7 +542,7 @@ def _weights(products: Array, degree: int) -> Array:
 
 
 def _between(start: Load, end: Load, share: float) -> Load:
-    """The load at a share of the way from one to another: one of its own for each attempt."""
+    """A new load, interpolated between two at this share."""
 
     def mix(a: Array | None, b: Array | None) -> Array | None:
         if b is None:
