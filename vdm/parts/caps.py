@@ -1,4 +1,4 @@
-"""A cap: triangles that fill loops of a cut, in the plane of the cut, with the loops' edges as they are."""
+"""Caps: triangles that fill the loops of a cut and keep the loops' edges."""
 
 from __future__ import annotations
 
@@ -12,33 +12,32 @@ from scipy.spatial import Delaunay, cKDTree
 from solver_common.arrays import Array, Index, Mask
 from solver_common.closed_surfaces import closed_pieces
 
-# nodes inside keep this share of the mesh size from the loop
+# least distance of inner nodes from the loops, over the mesh size
 CLEAR = 0.6
 SMOOTHINGS = 4
-# of the mesh size squared: a triangle of less area is a line
+# area over squared mesh size, below which a triangle counts as a line
 FLAT = 1e-9
-# mesh sizes of a cap over that of its loops: finer ones where one leaves a piece without a node inside
+# mesh sizes of a cap over the loops' mean edge; a finer one is tried if a piece of the cap has no inner node
 FINER = np.array([1.0, 0.5, 0.25])
 
 
 class CutError(ValueError):
-    """Loops that no cap fills; the message says why."""
+    """No cap fills the loops, or no plane cuts the part; the message says why."""
 
 
 def cap(points: Array, loops: list[Index], normal: Array) -> tuple[Array, Index]:
-    """New nodes (k, 3), and facets (C, 3) that close loops of `points` (N, 3); a new node j has the number N + j.
+    """New nodes (k, 3), and facets (C, 3) that close loops of `points` (N, 3); new node j has the number N + j.
 
-    A facet's edge on a loop runs against the loop. Seen along `normal`, loops are paired by nesting: what lies
-    inside an odd number of them is filled. New nodes stand in a lattice of the loops' mean edge, finer where a cap
-    is narrower, and are lifted out of the plane as a harmonic function of the loops' own heights.
+    A facet's edge on a loop runs against the loop. Seen along `normal` (3,), the cap fills what lies inside an odd
+    number of loops. New nodes form a triangular lattice with the loops' mean edge, or a finer one in narrow caps.
+    Their heights over the plane are a discrete harmonic function of the loops' heights.
 
     Raises
     ------
     CutError
-        loops that cross themselves or each other, seen along the normal, that run both ways round, or that leave no
-        room for a node between them.
+        seen along the normal, the loops intersect, run in contradictory directions, or leave no room for a node.
     """
-    # across the first loop: an axis of space would have a tie with another
+    # the first axis follows the first loop: an axis of space could tie with another one
     first = np.cross(normal, points[loops[0][len(loops[0]) // 2]] - points[loops[0][0]])
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(normal, first)], axis=1)
@@ -50,7 +49,8 @@ def cap(points: Array, loops: list[Index], normal: Array) -> tuple[Array, Index]
     size = float(np.linalg.norm(border[edges[:, 1]] - border[edges[:, 0]], axis=1).mean())
     for width in size * FINER:
         inner, triangles = _filled(border, edges, width)
-        # each piece of a cap has a node inside: by that the volumes of the parts beside it are apart
+        # a piece of a cap needs an inner node: without one, the volumes of the two parts would depend on each
+        # other
         if np.bincount(closed_pieces(triangles), (triangles >= len(border)).any(axis=1)).all():
             break
     else:
@@ -62,7 +62,7 @@ def cap(points: Array, loops: list[Index], normal: Array) -> tuple[Array, Index]
 
 
 def _filled(border: Array, edges: Index, size: float) -> tuple[Array, Index]:
-    """Nodes (k, 2) of this mesh size inside the loops of `border` (n, 2), and triangles (C, 3) of all n + k."""
+    """Nodes (k, 2) at this mesh size inside the loops of `border` (n, 2), and triangles (C, 3) of all n + k."""
     inner = _lattice(border, edges, size)
     for _ in range(SMOOTHINGS):
         if not len(inner):
@@ -73,19 +73,19 @@ def _filled(border: Array, edges: Index, size: float) -> tuple[Array, Index]:
         inner = moved[_clear(moved, border, edges, CLEAR * size)]
     flat = np.vstack([border, inner])
     triangles = _constrained(flat, _delaunay(flat), edges)
-    # nodes of a loop that are in line make a flat one, whose middle is on the loop
+    # collinear nodes of a loop give a triangle without area, whose centroid is on the loop
     wide = np.abs(_area(*flat[triangles].transpose(1, 0, 2))) > FLAT * size**2
     triangles = triangles[wide & _inside(flat[triangles].mean(axis=1), border, edges)]
     triangles = _against(triangles, edges)
     triangles = triangles[np.lexsort(np.sort(triangles, axis=1).T)]
     used = np.unique(triangles)
-    if len(used) != len(flat):  # a node beside the loops' filled side
+    if len(used) != len(flat):  # a node that no facet of the cap uses
         raise CutError("loops of the cut cannot be paired")
     return inner, triangles
 
 
 def _lattice(border: Array, edges: Index, size: float) -> Array:
-    """(k, 2) points of a lattice of equal triangles inside the loops and clear of them."""
+    """(k, 2) points of a triangular lattice inside the loops and clear of them."""
     low, high = border.min(axis=0), border.max(axis=0)
     rise = size * np.sqrt(0.75)
     reach = np.ceil(0.5 * (high - low) / [size, rise]).astype(int) + 1
@@ -95,7 +95,7 @@ def _lattice(border: Array, edges: Index, size: float) -> Array:
 
 
 def _clear(places: Array, border: Array, edges: Index, distance: float) -> Mask:
-    """(n,) whether places (n, 2) lie inside the loops, away from their edges."""
+    """(n,) whether places (n, 2) lie inside the loops, farther than `distance` from their edges."""
     start, side = border[edges[:, 0]], border[edges[:, 1]] - border[edges[:, 0]]
     arms = places[:, None] - start
     along = np.clip(np.einsum("nec,ec->ne", arms, side) / np.einsum("ec,ec->e", side, side), 0.0, 1.0)
@@ -114,12 +114,12 @@ def _inside(places: Array, border: Array, edges: Index) -> Mask:
 
 
 def _delaunay(flat: Array) -> Index:
-    """(T, 3) triangles of points (n, 2)."""
+    """(T, 3) Delaunay triangles of points (n, 2)."""
     return np.asarray(Delaunay(flat).simplices, np.int64)
 
 
 def _links(triangles: Index, n: int) -> sparse.csr_array:
-    """(n, n) ones between neighbours."""
+    """(n, n) adjacency matrix of the nodes."""
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
     links = sparse.csr_array(sparse.coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n)))
@@ -128,7 +128,7 @@ def _links(triangles: Index, n: int) -> sparse.csr_array:
 
 
 def _constrained(flat: Array, triangles: Index, edges: Index) -> Index:
-    """The triangulation with all `edges` in it, by flips of the edges that cross them (Sloan 1993)."""
+    """The triangulation after flips that insert all `edges` (Sloan, Computers & Structures 47 (1993) 441)."""
     triangles = triangles.copy()
     turn = _area(*flat[triangles].transpose(1, 0, 2)) < 0.0
     triangles[turn] = triangles[turn][:, ::-1]
@@ -169,13 +169,13 @@ def _constrained(flat: Array, triangles: Index, edges: Index) -> Index:
 
 
 def _area(a: Array, b: Array, c: Array) -> Array:
-    """Twice the area of triangles, positive where they turn left."""
+    """Twice the area of triangles, positive if their corners run counterclockwise."""
     u, v = b - a, c - a
     return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
 
 def _against(triangles: Index, edges: Index) -> Index:
-    """The triangles, all turned so that their open edges are those (a, b) of the loops, as (b, a)."""
+    """The triangles, oriented so that their open edges are the loops' edges (a, b), reversed as (b, a)."""
     halves = [pair for t in triangles.tolist() for pair in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0]))]
     once = set(halves)
     open_ones = {(b, a) for a, b in once} - once
@@ -188,7 +188,7 @@ def _against(triangles: Index, edges: Index) -> Index:
 
 
 def _harmonic(triangles: Index, heights: Array, n: int) -> Array:
-    """(n,) values, those of the first nodes given, each other the mean of its neighbours'."""
+    """(n,) discrete harmonic function: `heights` at the first nodes, the mean of the neighbours at the others."""
     known = len(heights)
     values = np.concatenate([heights, np.zeros(n - known)])
     if known < n:
@@ -200,5 +200,5 @@ def _harmonic(triangles: Index, heights: Array, n: int) -> Array:
 
 
 def nearest(places: Array, points: Array) -> Array:
-    """(n,) distance from each place (n, 3) to the nearest of some points."""
+    """(n,) distance from each place (n, 3) to the nearest of `points` (k, 3) [m]."""
     return np.asarray(cKDTree(points).query(places)[0])

@@ -1,7 +1,8 @@
-"""A closed surface cut into closed parts along its own edges.
+"""Cuts a closed surface into closed parts along its own edges.
 
-A plane across the longest axis of inertia labels the facets of a part. Labels are smoothed until their border is a
-set of simple loops, which a cap fills (`vdm.parts.caps`). Surface nodes stay as they are; caps have new ones.
+A plane across the longest axis of inertia labels the facets on its two sides. Labels are smoothed until their
+border is a set of simple loops, which a cap fills (`vdm.parts.caps`). Surface nodes do not move; caps have new
+nodes.
 """
 
 from __future__ import annotations
@@ -16,29 +17,30 @@ from solver_common.closed_surfaces import closed_pieces, crossings, solid_angles
 from vdm.boundary.rims import cut_at_rims
 from vdm.parts.caps import CutError, cap, nearest
 
-# places of the plane that are tried, as a share of the area beside the middle
+# positions of the plane that are tried: offsets from the median, as shares of the area
 SHIFTS = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12, 0.18, -0.18)
 SWEEPS = 50
-# facets that a part has at least: below, its caps are most of its surface
+# least facets of a part: with fewer, its caps are most of its surface
 SMALLEST = 60
-# of the loops' mean edge: closer to the surface than this, a cap's node leaves no room for a body between
+# least distance of a cap's nodes from the surface, over the median edge of the loops
 ROOM = 0.3
-# edges that a cut keeps from marked nodes where it can
+# number of edges that a cut keeps away from marked nodes, if it can
 AWAY = 3
 
 
 @dataclass(frozen=True)
 class Cut:
-    """Parts of a body of N nodes.
+    """The parts of a body with N nodes.
 
     Attributes
     ----------
-    points : (N + k, 3), those of the caps after the body's, and then those of rims
+    points : (N + k, 3) nodes of the body, then of the caps, then at rims [m]
     parts : facets (F_e, 3) of each part's closed surface, outward
-    refused : why no more parts were made, empty where as many were made as were asked for
-    ends : (r, 2) nodes of the edges at rims that the last r nodes cut
-    uncut : the parts without these; empty where there are none
-    tractions : (F_e,) number of the traction of each part's facets, which some share; empty until a body has them
+    refused : why there are fewer parts than asked for; empty if there are as many
+    ends : (r, 2) end nodes of the edges that the last r nodes cut, at rims
+    uncut : the parts before the cut along rims; empty without that cut
+    tractions : for each part the number (F_e,) of its facets' tractions, which facets may share; empty until
+        `vdm.parts.body.Parts` sets them
     """
 
     points: Array
@@ -49,10 +51,10 @@ class Cut:
     tractions: tuple[Index, ...] = ()
 
     def at_rims(self, held: Mask) -> Cut:
-        """The parts, also cut along the rims of the body's held nodes (N,), caps too (`vdm.boundary.rims`).
+        """The parts, also cut along the rims of the body's held nodes (N,), through caps too (`vdm.boundary.rims`).
 
-        These are nodes like others: what bulges at its rims is of a part's volume, which would else be stiffer than
-        that of the whole body, whose rims only keep the sum.
+        The new nodes are free unknowns. So one constraint keeps the sum of the bulges at all rims, as in the whole
+        body. If each part kept its own, it would be stiffer.
         """
         known = np.append(held, np.zeros(len(self.points) - len(held), np.bool_))
         points, parts, ends = cut_at_rims(self.points, self.parts, known)
@@ -60,10 +62,10 @@ class Cut:
 
 
 def cut(points: Array, triangles: Index, count: int, apart: Mask | None = None) -> Cut:
-    """Cut the closed surface of N nodes into at least `count` parts, the largest first.
+    """Cut a closed surface, points (N, 3) and triangles (F, 3), into `count` parts or more, the largest first.
 
-    A fork may fall into more. Where no plane serves, fewer are made, and `Cut.refused` says why. `apart` (N,) marks
-    nodes that a cut keeps `AWAY` from where a plane allows it, else as far as it can: rims of supports.
+    A cut through a fork may give more parts. If no plane can cut, there are fewer, and `Cut.refused` says why.
+    `apart` (N,) marks nodes, the rims of supports, that cuts keep `AWAY` edges from, or as far as the planes allow.
     """
     parts, refused = [triangles], ""
     surface = np.asarray(points, np.float64)
@@ -86,12 +88,12 @@ def cut(points: Array, triangles: Index, count: int, apart: Mask | None = None) 
 
 
 def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array, list[Index]]:
-    """The points with those of the caps, and the pieces of a part cut across its longest axis.
+    """One part cut across its longest axis: the points with those of the caps, and the facets of the pieces.
 
     Raises
     ------
     CutError
-        where no plane cuts it, with what the first one met.
+        no plane cuts it. The message is that of the first plane.
     """
     if len(triangles) < 2 * SMALLEST:
         raise CutError(f"a part of {len(triangles)} facets is too small to be cut")
@@ -101,7 +103,7 @@ def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array,
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
     )
     places, normal = along_longest_axis(centres, areas)
-    # rounding decides neither which side comes first nor which facets the plane meets: it goes where none are near
+    # rounding must decide neither which side comes first nor the side of a facet: the plane passes through a gap
     places, normal = (places, normal) if places[0] < 0.0 else (-places, -normal)
     order = np.argsort(places)
     share = (np.cumsum(areas[order]) - 0.5 * areas[order]) / areas.sum()
@@ -109,7 +111,7 @@ def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array,
     near, refused = list[tuple[int, list[Index], Mask]](), list[CutError]()
 
     def borders() -> Iterator[tuple[list[Index], Mask]]:
-        """Those that keep away come first, the furthest of the others next."""
+        """Loops and labels of each plane: those `AWAY` from marked nodes, then the others, the furthest first."""
         for shift in SHIFTS:
             plane = between[np.argmax(gaps - np.abs(between - np.interp(0.5 + shift, share, places[order])))]
             try:
@@ -134,14 +136,14 @@ def _halved(points: Array, triangles: Index, apart: Mask | None) -> tuple[Array,
 
 
 def along_longest_axis(points: Array, areas: Array) -> tuple[Array, Array]:
-    """Places (n,) of points (n, 3) along their longest axis of inertia, from their middle, and the axis (3,)."""
+    """Coordinates (n,) of points (n, 3) along their longest principal axis, from their mean, and the axis (3,)."""
     arms = points - areas @ points / areas.sum()
     axis = np.linalg.eigh((arms * areas[:, None]).T @ arms)[1][:, 2]
     return arms @ axis, axis
 
 
 def _edges_to(triangles: Index, loops: list[Index], apart: Mask, n: int) -> int:
-    """How many edges lead from the loops to a marked node, `AWAY` at most."""
+    """Number of edges from the loops to the nearest marked node, at most `AWAY`."""
     reached = np.zeros(n, np.bool_)
     reached[np.concatenate(loops)] = True
     for edges in range(AWAY):
@@ -169,7 +171,7 @@ def _closed(
 
 
 def _check_inside(points: Array, triangles: Index, border: Index, facets: Index, n: int) -> None:
-    """Refuses a cap on edges (k, 2) of the part that leaves it or touches its surface."""
+    """Raise `CutError` if a cap on the edges `border` (k, 2) leaves the part or nearly touches its surface."""
     centres = points[facets].mean(axis=1)
     one_of_each = np.unique(closed_pieces(facets), return_index=True)[1]
     inside = solid_angles(centres[one_of_each], points, triangles) > 0.5
@@ -188,14 +190,17 @@ def _check_inside(points: Array, triangles: Index, border: Index, facets: Index,
 
 
 def _keys(rings: Index, n: int) -> set[int]:
-    """One number for each edge between nodes below n, of rings (k, m) of nodes."""
+    """A key for each edge between nodes below n, in rings (k, m) of nodes."""
     start, end = rings.ravel(), np.roll(rings, -1, axis=1).ravel()
     old = (start < n) & (end < n)
     return set((np.minimum(start, end)[old] * n + np.maximum(start, end)[old]).tolist())
 
 
 def _loops(triangles: Index, labels: Mask, n: int) -> tuple[list[Index], Mask]:
-    """Border of the labels (F,), smoothed, as loops of nodes that run as the facets labelled False see them."""
+    """The border of the labels (F,) as loops of nodes, and the smoothed labels.
+
+    Loops run as the edges of the facets labelled False do.
+    """
     start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     facet = np.repeat(np.arange(len(triangles)), 3)
     neighbour = np.empty(len(start), np.int64)
@@ -203,7 +208,7 @@ def _loops(triangles: Index, labels: Mask, n: int) -> tuple[list[Index], Mask]:
     around = neighbour.reshape(-1, 3)
     labels = labels.copy()
     for _ in range(SWEEPS):
-        for _ in range(SWEEPS):  # a facet with two neighbours of the other label takes theirs
+        for _ in range(SWEEPS):  # a facet takes the label of two neighbours that differ from it
             lone = np.flatnonzero((labels[around] != labels[:, None]).sum(axis=1) >= 2)
             if not len(lone):
                 break
@@ -232,7 +237,7 @@ def _loops(triangles: Index, labels: Mask, n: int) -> tuple[list[Index], Mask]:
 
 
 def _bodies(points: Array, triangles: Index) -> list[Index]:
-    """The facets (F, 3) by body: closed outer surfaces, each with the walls of the cavities in it."""
+    """The facets (F, 3) of each body: a closed outer surface with the walls of the cavities inside it."""
     of = closed_pieces(triangles)
     pieces = [triangles[of == k] for k in range(of.max() + 1)]
     if len(pieces) == 1:
@@ -249,6 +254,6 @@ def _bodies(points: Array, triangles: Index) -> list[Index]:
 
 
 def volume(points: Array, triangles: Index) -> float:
-    """Of the polyhedron [m^3]."""
+    """Volume of a closed surface [m^3], negative if its facets face inward."""
     a, b, c = (points[triangles] - points[triangles].mean(axis=(0, 1))).transpose(1, 0, 2)
     return float(np.einsum("fi,fi->", a, np.cross(b, c))) / 6.0

@@ -1,4 +1,4 @@
-"""The nonlinear solver of a body of boundary elements: as many parts as it needs, and what twice as many say."""
+"""The nonlinear solver of boundary elements: chooses the number of parts, and compares with twice as many."""
 
 from __future__ import annotations
 
@@ -27,21 +27,27 @@ from vdm.solvers.nonlinear import SMALLEST_MOTION, DeformedStep, NonlinearSolver
 class PartsSolver:
     """Solves a history of loads on a body in parts.
 
-    How many is `Parameters.parts`, or follows from the small rotations of the linear answer to the largest load;
-    that is doubled where the answers ask for it. Where there is more than one, or the number is given, each answer
-    is compared with that of twice as many.
+    `Parameters.parts` gives the number of parts. Else it follows from the rotations in the linear answer to the
+    largest load, and is doubled if the answers need more. If there is more than one part, or the number is given,
+    each answer is compared with that of twice as many.
 
     Parameters
     ----------
-    problem : of boundary elements
-    cut : that it has where it is asked for as many parts, or, of a fork, for more than half; None: it is cut anew
+    problem : a problem of boundary elements
+    cut : the cut to use for this number of parts; for a fork, which is cut into more than asked for, down to half
+    of
+        it. None for a new cut
+
+    Attributes
+    ----------
+    least : least number of parts, as former loads needed
     """
 
     def __init__(self, problem: Problem, cut: Cut | None = None) -> None:
         self._whole, self._cut = problem, cut
         self._solvers: dict[int, NonlinearSolver] = {}
         self._given = problem.formulation.parameters.parts
-        self.least = 1  # parts that former loads asked for
+        self.least = 1
         self._finer: NonlinearSolver | None = None
         self._finer_step: Step | None = None
         self._solver: NonlinearSolver | None = None
@@ -49,31 +55,32 @@ class PartsSolver:
 
     @property
     def solver(self) -> NonlinearSolver:
-        """Of as many parts as the loads needed that it was prepared for, or of one."""
+        """The solver for as many parts as `prepare` chose; before that, for the number given, or one."""
         if self._solver is None:
             self._solver = self._of(self._given or 1)
         return self._solver
 
     @property
     def body(self) -> Parts:
-        """Its parts."""
+        """The body of `solver`."""
         return _parts(self.solver)
 
     @property
     def problem(self) -> Problem:
-        """At small displacements, of as many parts."""
+        """The problem at small displacements, in as many parts."""
         return self.solver.problem
 
     @property
     def factor(self) -> BorderedFactor:
-        """Of that problem."""
+        """The factor of that problem."""
         return self.solver.factor
 
     def prepare(self, loads: Sequence[Load], compared: bool = True, count: int = 0) -> float:
-        """Cut the body into `count` parts, or if 0 as its loads need; the seconds that this took.
+        """Cut the body into `count` parts, or if 0 as many as its loads need; returns the seconds it took.
 
-        A guess, which `bem-sparse` does without, saves the whole body where it is not needed; a linear answer of
-        the parts themselves decides. Unless answers are `compared`, none has twice the parts.
+        `guessed` gives a first number, except for `bem-sparse`; it avoids a set-up of the whole body in one part.
+        The linear answer of these parts then decides. Unless answers are `compared`, no body with twice the parts
+        is made.
         """
         start = time.perf_counter()
         load = self._unturned(self._largest(loads))
@@ -101,20 +108,21 @@ class PartsSolver:
         return seconds
 
     def begin_at(self, load: Load, x: Array, pressure: Array) -> None:
-        """As in `NonlinearSolver`, of its body; when it is prepared next, twice the parts begin near that too.
+        """As in `NonlinearSolver`. After the next `prepare`, twice the parts start near that state too.
 
-        Their way from rest to a load that strains them far is long.
+        From rest, they would need many steps to a load that strains them far.
         """
         self.solver.begin_at(load, x, pressure)
         self._known = load, x[: self._whole.formulation.surface.n_nodes], float(pressure.mean())
 
     def doubled(self, solution: Solution) -> bool:
-        """Whether the body has twice the parts from now on, as its answers to the loads ask for.
+        """Double the number of parts if the answers need it; returns whether it was doubled.
 
-        Where no balance was found, but where the last state is strained by more than `LARGEST_STRAIN` and turns by
-        less than `MOST_TURN` within its parts, which more of them do not mend. Or where an answer turns by more,
-        which the linear one did not foresee, or the parts would be told to leave too much (`vdm.reservations`),
-        and the doubled can be compared with twice as many themselves.
+        A failed answer needs it, unless strain is the cause: the last state is strained by more than
+        `LARGEST_STRAIN` and turns by less than `MOST_TURN` within its parts. A found answer needs it if it turns by
+        more than `MOST_TURN` within a part, which the linear answer did not predict. It also needs it if the error of
+        the parts exceeds that of the mesh, and their sum the limit of `vdm.reservations`. Found answers are doubled
+        only if twice the parts can be compared with twice as many again.
         """
         if self._given:
             return False
@@ -140,19 +148,19 @@ class PartsSolver:
         return self.solver.step(load, previous)
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
-        """The step and what its balance on the deformed surface lacks."""
+        """As in `NonlinearSolver`."""
         return self.solver.audited(load, step)
 
     @property
     def part_of_node(self) -> Index | None:
-        """See `Solution.part_of_node`."""
+        """(N,) as in `Solution`."""
         return self.body.owner + 1 if self.body.n_parts > 1 else None
 
     def scalars(self, step: Step) -> dict[str, float]:
-        """What is told of a step beside its displacement: see `Parts.scalars`, and `parts_error`.
+        """Further outputs of a step: those of `Parts.scalars`, and `parts_error`.
 
-        That is how far the answer of twice the parts is under the load that was reached, in displacement or in
-        change of shape; NaN where that answer was not found, and where nothing acts or moves.
+        `parts_error` is the relative difference from the answer of twice the parts under the load that was reached,
+        in displacement or in change of shape. It is NaN if that answer was not found, and if nothing acts or moves.
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return {}
@@ -167,9 +175,9 @@ class PartsSolver:
         return {**found, "parts_error": self._apart(step.displacement, self._finer_step.displacement)}
 
     def _apart(self, u: Array, finer: Array) -> float:
-        """The distance of two displacements (N, 3), or if larger of their changes of shape, over the second's size.
+        """Relative L2 difference of two displacements (N, 3) or of their changes of shape, the larger of the two.
 
-        By area, NaN where nothing moves; a change of shape that is rounding is none.
+        It is relative to `finer` and NaN if that is zero. A change of shape of the size of rounding is left out.
         """
         areas = self._whole.formulation.surface.nodal_areas
 
@@ -183,7 +191,7 @@ class PartsSolver:
         return max(apart, size(own - other) / changed) if changed > SMALLEST_MOTION * moved else apart
 
     def _changed(self, displacement: Array) -> Array:
-        """(N, 3) what a displacement has beside its best-fit rigid motion, of a finite rotation, turned back."""
+        """(N, 3) change of shape: a displacement less its best-fit rigid motion, turned back to rest [m]."""
         body, areas = self._whole.body, self._whole.formulation.surface.nodal_areas
         state = body.at(displacement)
         left = state.positions @ state.rotation.T - body.rest
@@ -194,14 +202,17 @@ class PartsSolver:
         return pieces_of(self._whole.formulation.surface)
 
     def _wanted(self, displacement: Array) -> int:
-        """How many parts the body needs that moves by (N, 3)."""
+        """How many parts the body needs for a displacement (N, 3)."""
         return parts_wanted(self._whole.formulation.surface, self._pieces, displacement)
 
     def _largest(self, loads: Sequence[Load]) -> Load:
         return max(loads, key=self._size)
 
     def _size(self, load: Load) -> float:
-        """Of what acts; weight by its pressure alone, whose force in a compressible body asks for its matrix."""
+        """Norm of the forces of a load, plus that of its prescribed motion, to find the largest load.
+
+        The weight counts by its pressure alone: its force in a compressible body needs the matrix.
+        """
         problem, support = self._whole, self._whole.support
         force = replace(problem, support=replace(support, hydrostatic=None)).force(load)
         if support.hydrostatic is not None:
@@ -209,7 +220,7 @@ class PartsSolver:
         return float(np.linalg.norm(force) + np.linalg.norm(problem.held_unknown(load)))
 
     def _unturned(self, load: Load) -> Load:
-        """The load in the frame of its supports: what turns with them does not bend the body."""
+        """The load in the frame of its supports: a rigid motion with them does not bend the body."""
         problem, rest = self._whole, self._whole.body.rest
         held = problem.held_unknown(load)
         if not held.any():
@@ -220,7 +231,7 @@ class PartsSolver:
         return replace(load, prescribed=(rest + held - centre) @ turn.T + middle - rest)
 
     def _twice(self, body: Parts) -> NonlinearSolver | None:
-        """Of twice the parts; None where they cannot be made."""
+        """The solver for twice the parts; None if the body cannot be cut into more."""
         try:
             finer = self._of(2 * body.n_parts)
         except SolverError:
@@ -228,7 +239,7 @@ class PartsSolver:
         return finer if _parts(finer).n_parts > body.n_parts else None
 
     def _fitting(self, count: int) -> NonlinearSolver:
-        """Of so many parts, or where one of them has more nodes than a matrix takes of twice as many, or more."""
+        """The solver for `count` parts; the number is doubled while a part has more nodes than a matrix takes."""
         try:
             return self._of(count)
         except SolverError as error:
@@ -239,7 +250,7 @@ class PartsSolver:
 
     def _of(self, count: int) -> NonlinearSolver:
         if count not in self._solvers:
-            made = 0 if self._cut is None else len(self._cut.parts)  # a fork has more than were asked for
+            made = 0 if self._cut is None else len(self._cut.parts)  # a fork may have more than asked for
             is_cut = made > 0 and (count == self._given or count <= made < 2 * count)
             body = Parts(self._whole, count, self._cut if is_cut else None)
             self._solvers[count] = NonlinearSolver(body.problem, body, body.factor)
@@ -252,7 +263,7 @@ def _parts(solver: NonlinearSolver) -> Parts:
 
 
 def inside(rest: Array, x: Array) -> Array:
-    """(n, 3) displacement of all nodes, at rest (n, 3), by that of the first (N, 3): a biharmonic spline."""
+    """(n, 3) displacement of all nodes, `rest` (n, 3), from that of the first N, x (N, 3): a biharmonic spline."""
     from scipy.interpolate import RBFInterpolator  # slow to load, and only scans need it
 
     n = len(x)

@@ -1,14 +1,14 @@
-"""The rest shape of a body in parts whose shape under a load is known, by stiffnesses that are given.
+"""The rest shape of a body in parts from its shape under a load, with the stiffness of a nearby shape.
 
-The inverse of `vdm.parts.body`: positions y, and with them what acts on the body, are known, and the rest points X
-are not. Part e has the stiffness S of a shape near its rest, and in that shape's frame is away from rest by
-`w = y - X G`, G the rotation that best fits X to y there. Of a change d of X G, what the balance lacks loses
+This is the inverse of `vdm.parts.body`: the positions y and the forces on them are known, the rest points X are the
+unknowns. Part e has the stiffness S of a shape near its rest. In that shape's frame its displacement is
+`w = y - X G`; the rotation G best fits X to y. A change d of X G reduces the residual of equilibrium by
 
-`(1 - W Y^T) S (d - Z theta)`, `theta = V^T d`,
+`(1 - W Y^T) S (d - Z theta)`, `theta = V^T d`.
 
-V what turning G follows d by, `Z_k = e_k x X G`, `Y_k = e_k x y`, and W as there. With `tau = Y^T S (d - Z theta)`
-that is S and a border of theta and tau beside the pressure, which keeps the volume. Where S is that of X itself,
-the body at X sags into y.
+theta is the rotation of G that d causes, `Z_k = e_k x X G`, `Y_k = e_k x y`, and W is as in `vdm.parts.body`. With
+`tau = Y^T S (d - Z theta)` the system is S, bordered by theta, tau and the pressure, which keeps the volume. If S
+is the stiffness of X itself, the body at rest in X sags into y.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ REMEDY = "give a stiffer tissue, or leave out gravity.scanned"
 
 @dataclass(frozen=True)
 class _Resting:
-    """A rest shape that is tried: nodes of all parts, one after another, are n_p.
+    """A trial rest shape. n_p counts the nodes of all parts, one after another.
 
     Attributes
     ----------
-    seen : the balance of the state under the load
+    seen : balance of the known shape under the load
     rest : (n_p,) surfaces of all parts at rest
     turns : (m, 3, 3) G
-    placed : (n_p, 3) X G about each part's middle
-    filled : (n_p, 3, k) gradient at rest of the volumes of the cavities that a fluid fills
+    placed : (n_p, 3) X G, about each part's mean position
+    filled : (n_p, 3, k) gradient at rest of the further volumes, those of the fluid-filled cavities
     """
 
     seen: Balance
@@ -55,13 +55,14 @@ class _Resting:
 
 
 class Unloaded(Parts):
-    """Parts near rest, and their nodes' positions under a load; unknowns x lead from there to the rest shape.
+    """Parts whose rest shape is unknown. The unknowns x (n, 3) lead from the loaded shape to the rest shape.
 
-    `rest` is where x is zero: the shape under the load.
+    `parts` have the stiffness of a shape near rest. The attribute `rest` is the shape under the load, where x is
+    zero.
     """
 
     def __init__(self, parts: Parts, seen: Array) -> None:
-        """`seen` (n, 3) [m], of the parts that give the stiffnesses."""
+        """`seen` (n, 3) are the positions of the parts' nodes under the load [m]."""
         vars(self).update(vars(parts))
         self._near, self.rest = parts, seen - parts.problem.body.origin
         self._sag = self.rest - parts.rest
@@ -87,7 +88,7 @@ class Unloaded(Parts):
             springs = self._ground @ (self._sag + x)[:n_surface].reshape(-1)
             lacking[:n_surface] -= springs.reshape(-1, 3)
         grown, filled = self._kept(rest, (self._sag + x)[self._nodes])
-        # the row of the state under the load, by its volumes, with the sign and at the volumes of this rest shape
+        # the volume constraint of the loaded state, with its sign changed, over the volumes of this rest shape
         beyond = np.einsum("nc,nc->n", self._beyond, seen.parts.away + further)
         grown[: self.n_parts] -= np.add.reduceat(beyond, self._first)
         gap = (grown - self.give * pressure + seen.parts.squeezed) / self.volumes - 1.0
@@ -150,11 +151,14 @@ class Unloaded(Parts):
         return change[self.free], push[kept]
 
     def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:  # noqa: ARG002
-        """As in `Large`: the last correction closes them."""
+        """As in `Large`: nothing is added, and the last correction closes the gaps."""
         return np.zeros_like(change), np.zeros_like(balance.gap)
 
     def _border_of(self, number: int, balance: Balance) -> tuple[Array, Array, Array]:
-        """Of a part in its frame: what pressure, theta, tau, cavities push (n, 3, k), what reads them, (7, 7)."""
+        """Border of a part in its frame: columns (n, 3, k), rows (n, 3, k), and their own block (7, 7).
+
+        The border unknowns are the pressure, theta, tau, and the pressures of the further volumes.
+        """
         part, span, resting = self.parts[number], self._spans[number], balance.parts
         acting, g = resting.seen.parts, resting.turns[number]
         q = acting.turns[number]
@@ -179,11 +183,11 @@ class Unloaded(Parts):
         own[1:, 1:] = -np.eye(6)
         own[4:, 1:4] = -np.einsum("nck,ncl->kl", turned[:, :, 3:], stressed[:, :, :3])
         if not (part.inner | part.shared).any() and not self.give[number]:
-            own[0, 0] = 1.0  # it is held all over, and its pressure is at rest
+            own[0, 0] = 1.0  # held all over: no displacement fixes the pressure, so it stays zero
         return pushing, reading, own
 
     def stiffness_left(self, balance: Balance) -> float:  # noqa: ARG002
-        """As in `Large`: a rest shape that is looked for is no balance under a load."""
+        """As in `Large`: NaN, as a trial rest shape is no equilibrium under a load."""
         return np.nan
 
     def energy(self, balance: Balance) -> float:
@@ -194,15 +198,16 @@ class Unloaded(Parts):
 
 
 class Unloading:
-    """Leads a body in parts back to rest, from its surface under a load, by stiffnesses of one shape after another.
+    """Finds the rest shape of a body in parts from its surface under a load, with the stiffness of the last trial.
 
     Parameters
     ----------
-    seen : (N, 3) its surface nodes under the load [m]
+    seen : (N, 3) surface nodes under the load [m]
+    load : the load
 
     Attributes
     ----------
-    open : step from which on a cut is kept, the largest of a node [m]; 0 where the search settles without
+    open : largest step of a node when the search began to keep its cut [m]; 0 if it does not keep it
     """
 
     def __init__(self, seen: Array, load: Load) -> None:
@@ -212,35 +217,37 @@ class Unloading:
         self.begin(0)
 
     def begin(self, count: int) -> None:
-        """Go on in this many parts, or if none in as many as the next body needs."""
+        """Continue with `count` parts, or if 0 with as many as the next body needs."""
         self._count, self._steps = count, (np.inf, np.inf)
         self._kept: Cut | None = None
         self.open = 0.0
 
     def stiffness_left(self) -> float:
-        """Of the body at rest that was found last, under the load; as in `Large`."""
+        """`Large.stiffness_left` of the last body found, under the load."""
         assert self._body is not None
         assert self._balance is not None
         return self._body.stiffness_left(self._balance.parts.seen)
 
     def cut(self, points: Array) -> Cut | None:
-        """Of surface nodes (N, 3): none, they are cut anew, until a step was no shorter than the last but one.
+        """The cut to use for surface nodes (N, 3); None for a new one.
 
-        From then on it is the last one: shapes of which each asks for the other's have no end.
+        Cuts are made anew until a step is no shorter than the last but one: two shapes may alternate, each with the
+        cut of the other. From then on the last cut is kept.
         """
         if self._kept is None:
             return None
         return replace(self._kept, points=np.vstack([points, self._kept.points[len(points) :]]))
 
     def rest(self, solver: PartsSolver) -> Array:
-        """(N, 3) surface nodes at rest [m], by the stiffnesses of a solver's body in the parts begun with.
+        """(N, 3) surface nodes at rest [m], with the stiffness of a solver's body, in as many parts as at `begin`.
 
-        The first body is the one that is seen, any other near its rest: its nodes inside are seen where it sags.
+        The first body has the loaded shape; later ones are near rest. The loaded positions of their inner nodes are
+        those of the body under the load.
 
         Raises
         ------
         SolverError
-            where no balance is found; it names the share of the load that was undone.
+            no equilibrium is found. The message has the share of the load that was undone.
         """
         self._body = None  # two at once would take twice the memory
         solver.prepare([self._load], compared=False, count=self._count)
