@@ -1,4 +1,4 @@
-"""The limits of [acceptance], where numbers stand against them, and up to which load of what pushes a body."""
+"""The limits of [acceptance], how numbers stand against them, and up to which load a model keeps them."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from ..study.loads import Constraint
 from ..study.schema import Study
 
 NODAL, FRAME_TIME = max_nodal_error.__name__, "frame_time"
-# where a model stands; of several limits the largest decides
+# how a model stands against a limit; of several limits the largest state decides
 NOT_ASKED, WITHIN, OPEN, BEYOND, LOST = -1, 0, 1, 2, 3
 YES, UNDECIDED, NO, NOT_JUDGED = "yes", "undecided", "no", "not judged"
 WORDS = (YES, UNDECIDED, NO, NOT_JUDGED)  # the best first
-WORD = {WITHIN: YES, OPEN: UNDECIDED, BEYOND: NO, LOST: NO}  # of one case
+WORD = {WITHIN: YES, OPEN: UNDECIDED, BEYOND: NO, LOST: NO}  # for one case
 States = NDArray[np.int8]
 
 
@@ -35,9 +35,9 @@ class Criterion:
 
     Attributes
     ----------
-    key, name : in the study file, and in words
-    metric : what is limited, FRAME_TIME for the time of a frame
-    allowed : the most that is accepted, in `unit`
+    key, name : key in the study file; name in words
+    metric : the metric that is limited; FRAME_TIME for the time of a frame
+    allowed : the limit, in `unit`
     """
 
     key: str
@@ -48,12 +48,12 @@ class Criterion:
 
     @property
     def of_load(self) -> bool:
-        """Whether what it limits grows with the load."""
+        """Whether the limited metric depends on the load: all but the time of a frame."""
         return self.metric != FRAME_TIME
 
 
 def criteria(study: Study) -> tuple[Criterion, ...]:
-    """The limits of a study, those of its two errors first."""
+    """The limits of a study. Those of the displacement error and of the change of shape come first."""
     given = study.acceptance
     found = [
         Criterion("displacement_error", "displacement error", VECTOR, given.displacement_error),
@@ -67,9 +67,9 @@ def criteria(study: Study) -> tuple[Criterion, ...]:
 
 
 def states_of(values: Array, bars: Array, allowed: float | Array) -> States:
-    """WITHIN or BEYOND, whatever the reference's own error is; else OPEN. LOST of what is not finite.
+    """WITHIN or BEYOND if the error bar of the reference cannot change that, else OPEN. LOST if not finite.
 
-    An error of the reference that was not measured counts as none.
+    `values`, `bars` and `allowed` are in one unit. An error bar that was not measured counts as zero.
     """
     bars = np.where(np.isfinite(bars), bars, 0.0)
     found = np.where(values + bars <= allowed, WITHIN, np.where(values - bars > allowed, BEYOND, OPEN))
@@ -77,10 +77,10 @@ def states_of(values: Array, bars: Array, allowed: float | Array) -> States:
 
 
 def time_state(result: ModelResult | None, allowed: float) -> int:
-    """Where a model's times stand: a busy machine makes them longer, never shorter.
+    """How a model's times of a frame stand against a limit [s]. A busy machine makes times longer, never shorter.
 
-    WITHIN where three in four rounds keep the limit, BEYOND where none of at least three does, else OPEN. What was
-    not measured anew in turns with the others, or on another machine, decides nothing.
+    WITHIN if three of four rounds keep the limit, BEYOND if none of `LEAST_ROUNDS` or more does, else OPEN. OPEN
+    too if the frames were not measured in turns with the other models', or on another machine.
     """
     frames = result.frames if result is not None else None
     if frames is None or frames.processor != processor_name():
@@ -94,27 +94,27 @@ def time_state(result: ModelResult | None, allowed: float) -> int:
 
 
 def counted(states: States) -> dict[str, int]:
-    """How many of a model's states in the judged cases are of each kind."""
+    """How many of a model's states (C,) are of each kind."""
     kinds = {"within": WITHIN, "undecided": OPEN, "beyond": BEYOND, "without an answer": LOST}
     return {name: int((states == kind).sum()) for name, kind in kinds.items()}
 
 
 def word_of(states: Iterable[int]) -> str:
-    """The answer to "is it good enough?" from a model's state in each judged case: that of the worst of them."""
+    """The word of the worst of a model's states in the judged cases; "not judged" if there are none."""
     return max((WORD[state] for state in states), key=WORDS.index, default=NOT_JUDGED)
 
 
-_SAME = 1e-9  # of a load: the difference of two that are one
+_SAME = 1e-9  # relative difference below which two loads are equal
 
 
 def kind_of(constraint: Constraint) -> str:
-    """Its kind; what is moved by nothing is held."""
+    """The kind of a constraint; a prescribed displacement of zero is "fixed"."""
     held = constraint.kind == "constrained" and not np.any(constraint.displacement or 0.0)
     return "fixed" if held else constraint.kind
 
 
 def supports(case: CaseResult) -> NDArray[np.bool_]:
-    """(N,) nodes that a support holds or moves."""
+    """(N,) mask of the nodes that supports hold or move."""
     mask = np.zeros(len(case.points), dtype=bool)
     for constraint in case.study.constraints:
         if constraint.kind in ("fixed", "constrained"):
@@ -123,7 +123,7 @@ def supports(case: CaseResult) -> NDArray[np.bool_]:
 
 
 def pushes(case: CaseResult, surface: Surface) -> list[Pushed]:
-    """What pushes or moves a body: its contacts, indenters and moved regions."""
+    """The contacts, indenters and moved regions of a case, without those that have no nodes."""
     return [
         Pushed(case.study, constraint, mask, surface, case.load_factors)
         for constraint in case.study.constraints
@@ -137,14 +137,14 @@ def pushes(case: CaseResult, surface: Surface) -> list[Pushed]:
 
 @dataclass(frozen=True)
 class UpTo:
-    """The largest load up to which every case and every step that was tried is within the limits.
+    """The largest load up to which a model is within the limits at all steps of all cases.
 
     Attributes
     ----------
-    load, unit : that load, NaN where there is none; its unit, "1" where it is told as a share of the full load
-    depth : how far the reference gives way there, in every case at least [m]; NaN where not known or none
-    least, most : the smallest and the largest load tried
-    open : whether the next load is undecided, not beyond
+    load, unit : that load, NaN if there is none; its unit, "1" for a share of the full load
+    depth : least indentation of the reference at that load over the cases [m]; NaN if not known
+    least, most : the smallest and the largest load of the study
+    open : whether the next load is undecided, not beyond the limits
     """
 
     load: float
@@ -161,13 +161,13 @@ class UpTo:
 
     @property
     def all(self) -> bool:
-        """Whether it is the largest tried."""
+        """Whether it is the largest load of the study."""
         return not self.none and self.load >= self.most
 
 
 @dataclass(frozen=True)
 class KnownLoads:
-    """The K steps of all cases that carry a load: unit, (K,) loads, (K,) depths [m], (K,) cases and steps."""
+    """The K steps of all cases with a load: (K,) loads in `unit`, (K,) depths [m], (K,) cases and steps."""
 
     unit: str
     loads: Array
@@ -177,9 +177,10 @@ class KnownLoads:
 
 
 def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> KnownLoads:
-    """The loads of each case's only contact, else of the one thing that pushes it, as its reference answers.
+    """The load of each step: that of the case's only contact, or of the only thing that pushes it.
 
-    They are shares of the full load, "1", where the cases do not tell them in one unit.
+    The reference's answer gives load and depth. If the cases have no common unit, loads are shares of the full
+    load, in the unit "1".
     """
     units, curves = set(), []
     for case, surface in zip(cases, surfaces, strict=True):
@@ -201,13 +202,13 @@ def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> Kno
 
 
 def up_to(known: KnownLoads, states: States) -> UpTo | None:
-    """Of all steps that carry a load, from the (C, S) states of a model; None where it answers at none."""
+    """`UpTo` of a model from its states (C, S); None if it has no answer at any step with a load."""
     if (states[known.cases, known.steps] == LOST).all():
         return None
     order = np.argsort(known.loads, kind="stable")
     loads, depths = known.loads[order], known.depths[order]
     states = states[known.cases[order], known.steps[order]]
-    # points of one load are one group, of which the worst decides
+    # steps with equal loads form one group; its worst state decides
     starts = np.flatnonzero(np.concatenate([[True], np.diff(loads) > _SAME * loads[1:]]))
     worst = np.maximum.reduceat(states, starts)
     within = int(np.argmin(np.append(worst, BEYOND) == WITHIN))  # groups before the first that is not

@@ -1,4 +1,4 @@
-"""Why a model is not within its limits, by what a study has measured, and what to take instead."""
+"""Why a model is not within its limits, as far as the study's numbers show, and which model to take instead."""
 
 from __future__ import annotations
 
@@ -19,16 +19,28 @@ from .digest import Digest, Figures, failed_steps, median_known
 MODEL, LEFT_OUT, SMALL_STRAIN, MESH = "model", "left out", "small strain", "mesh"
 COMPRESSIBILITY = "compressibility"
 REFERENCE, TIME, NO_ANSWER, NOT_TOLD = "reference", "time", "no answer", "not told apart"
-OF_ALL_CASES = {COMPRESSIBILITY, REFERENCE, TIME, NO_ANSWER}  # the others are seen in the one that decides
-HALF = 0.5  # of what a limit allows: from there on a cause is named
-SMALL = 0.3  # of the largest load: what a step may carry to be called a small one
+OF_ALL_CASES = {
+    COMPRESSIBILITY,
+    REFERENCE,
+    TIME,
+    NO_ANSWER,
+}  # causes seen in all cases; others in the worst case
+HALF = 0.5  # share of a limit from which on a cause is named
+SMALL = 0.3  # largest load of a small step, over the full load
 POISSON = "tissue.poisson_ratio"
 LINEAR_ELEMENTS = ("fem-linear", "fem-condensed", "fem-p2", "fem-p1")
 
 
 @dataclass(frozen=True)
 class Reason:
-    """One cause: which, the figures that show it (shares, SI) by what they are, what else its sentence needs."""
+    """One cause of a model that is not within its limits.
+
+    Attributes
+    ----------
+    cause : one of the names above
+    numbers : the figures that show it, by name: shares [1] or SI
+    about : what else its sentence needs
+    """
 
     cause: str
     numbers: dict[str, float] = field(default_factory=dict)
@@ -37,14 +49,14 @@ class Reason:
 
 @dataclass(frozen=True)
 class Shortfall:
-    """A model that is not within its limits in every case, seen in the case that decides."""
+    """A model that is not within its limits in every case; its errors are those of its worst case."""
 
     digest: Digest
     model: str
 
     @cached_property
     def place(self) -> int:
-        """Number of the case in which the model has an answer and stands worst; any where it has none."""
+        """Number of the case with the model's worst answer; any case if it has no answer."""
         shares = self.digest.shares(self.model)
         return int(np.argmax(np.where(np.isfinite(shares), shares, -1.0)))
 
@@ -55,7 +67,7 @@ class Shortfall:
 
     @cached_property
     def broken(self) -> tuple[Criterion, ...]:
-        """The limits that it surely or perhaps breaks there, of those that a load decides."""
+        """The limits that depend on the load and that the model breaks there, surely or perhaps."""
         at = self.place, self.case.full_load
         return tuple(
             c for c in self.digest.criteria if c.of_load and self.digest.states(self.model, c)[at] > WITHIN
@@ -66,19 +78,20 @@ class Shortfall:
         return float(self.digest.history(model, one.metric)[self.place, step])
 
     def part(self, model: str | None, step: int | None = None) -> float:
-        """How much of what is broken another model, or another step, takes: the largest share of a limit."""
+        """Largest error over its limit, of the broken limits, of another model or step; 0 if none is known."""
         if model is None:
             return 0.0
         shares = [self._at(model, c, step) / c.allowed for c in self.broken]
         return max((share for share in shares if math.isfinite(share)), default=0.0)
 
     def errors(self, model: str, step: int | None = None) -> dict[str, float]:
-        """Displacement error and error in change of shape; NaN where there is none."""
+        """Displacement error and error in change of shape at a step, NaN if not known."""
         return {c.key: self._at(model, c, step) for c in self.digest.criteria[:2]}
 
     def mesh_part(self, step: int | None = None) -> float:
-        """How much of what is broken the mesh takes: what the reference's own model has there, or what the model
-        itself says that its mesh leaves open.
+        """Largest error over its limit that the mesh explains, of the broken limits.
+
+        It is the error of the reference's own model on the same mesh, or what the model estimates for its mesh.
         """
         own = (
             self._at(self.model, c, step) / c.allowed * share for c, share in self.mesh_shares(step).items()
@@ -86,9 +99,9 @@ class Shortfall:
         return max(self.part(self.digest.coarse_reference, step), *own, 0.0)
 
     def mesh_shares(self, step: int | None = None) -> dict[Criterion, float]:
-        """Broken limits that the model's `mesh_error`, of displacements, or `shape_error`, of either, explain.
+        """Broken limit -> share of the model's error, at most 1, that its own estimates of mesh errors explain.
 
-        With the share of the model's error that they are, 1 at most; none of a model without them.
+        `mesh_error` estimates displacement errors, `shape_error` both. Empty for a model without these outputs.
         """
         result, at = self.case.models[self.model], self.case.full_load if step is None else step
         moved, largest = self.digest.criteria[0], max(self.errors(self.model, step).values())
@@ -104,12 +117,12 @@ class Shortfall:
 
     @cached_property
     def elements(self) -> str | None:
-        """Elements that solve the linear problem and are held against the reference; the model itself may be."""
+        """The first compared model with linear elements; it may be the model itself."""
         return next((name for name in LINEAR_ELEMENTS if name in self.digest.compared), None)
 
     @cached_property
     def without_inclusions(self) -> str | None:
-        """Elements that leave out the same inclusions as the model does."""
+        """Compared linear elements that leave out the inclusions, if the model does so too."""
         leave_out = self.case.study.study.homogeneous
         if self.model not in leave_out or not self.case.study.inclusions:
             return None
@@ -118,19 +131,22 @@ class Shortfall:
 
     @cached_property
     def no_nearer(self) -> str | None:
-        """A nonlinear solver of the model that was tried, where none is nearer or has an answer; else None."""
+        """The best of the model's nonlinear solvers that were tried, if none improves on the model; else None."""
         tried = [n for n in self.digest.compared if split(n)[0] == split(self.model)[0] and not is_linear(n)]
         nearest = min(tried, key=lambda name: self.part(name) or math.inf, default=None)
         return nearest if nearest and not 0.0 < self.part(nearest) < self.part(self.model) else None
 
     @cached_property
     def finite_strain(self) -> bool:
-        """Whether the reference follows large displacements."""
+        """Whether the reference is a finite-strain model."""
         return split(str(self.case.reference))[0] in FINITE_STRAIN
 
     @cached_property
     def small_step(self) -> int | None:
-        """The step of the smallest load, where that is small; of a linear model with its weight, which is whole."""
+        """The step of the smallest load if that is small, else None.
+
+        For a linear model under weight, which acts in full at each step, the displacement must be small too.
+        """
         case = self.case
         sizes = np.abs(case.load_factors)
         steps = np.flatnonzero(sizes > 0.0)
@@ -153,7 +169,7 @@ class Shortfall:
 
 
 def reasons(digest: Digest, model: str) -> tuple[Reason, ...]:
-    """Every cause that this study's figures show; none where the model is within its limits in every case."""
+    """Every cause that the study's figures show; none if the model is within its limits in every case."""
     if set(digest.standing(model).tolist()) == {WITHIN}:
         return ()
     shortfall = Shortfall(digest, model)
@@ -163,10 +179,10 @@ def reasons(digest: Digest, model: str) -> tuple[Reason, ...]:
 
 
 def _what_tells(shortfall: Shortfall) -> dict[str, Any]:
-    """What the study has not, and may show a cause: linear elements, a small load, a second mesh of the reference.
+    """What could show a cause but is not in the study: linear elements, a small load, a second mesh.
 
-    The first two only where an error changes with the load, and elements only of a linear model. No small load
-    tells of a weight, which acts beside it as a whole.
+    The first two help only if the error changes with the load, elements only for a linear model. A small load does
+    not help under weight, which acts in full beside it.
     """
     digest, linear = shortfall.digest, is_linear(shortfall.model)
     grows = shortfall.finite_strain or not linear
@@ -179,7 +195,7 @@ def _what_tells(shortfall: Shortfall) -> dict[str, Any]:
 
 
 def no_answer(shortfall: Shortfall) -> Iterator[Reason]:
-    """Cases in which the model stops before full load, with the first reason that it gives."""
+    """The model stops before full load in some cases; with the first message."""
     digest, model = shortfall.digest, shortfall.model
     lost = [digest.cases[k] for k in np.flatnonzero(digest.standing(model) == LOST).tolist()]
     results = [case.models[model] for case in lost if model in case.models]
@@ -191,7 +207,7 @@ def no_answer(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def the_model(shortfall: Shortfall) -> Iterator[Reason]:
-    """What the model is off by at the smallest step; where no load tells, what nothing else takes."""
+    """The model's error at a small load; or, if the load does not matter, what no other cause explains."""
     model, step = shortfall.model, shortfall.small_step
     grows = shortfall.finite_strain or not is_linear(model)
     if grows and step is not None:
@@ -207,7 +223,7 @@ def the_model(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def what_is_left_out(shortfall: Shortfall) -> Iterator[Reason]:
-    """Inclusions that the model does not know: elements without them are as far off."""
+    """The model leaves out inclusions: elements without them have such an error too."""
     elements = shortfall.without_inclusions
     if elements is not None and shortfall.part(elements) >= HALF:
         names = [entry.name for entry in shortfall.case.study.inclusions or ()]
@@ -215,13 +231,13 @@ def what_is_left_out(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
-    """What every linear model is off by at this load: linear elements are as far off, or the error grows."""
+    """The load is beyond small strain: linear elements have such an error too, or the error grows with the load."""
     model, elements, step = shortfall.model, shortfall.elements, shortfall.small_step
     if not shortfall.finite_strain or not is_linear(model):
         return
     helps = {
         "no_nearer": shortfall.no_nearer,
-        "lower": step is not None or not has_weight(shortfall.case.study),  # which no load takes away
+        "lower": step is not None or not has_weight(shortfall.case.study),  # a lower load leaves the weight
     }
     if elements is not None:
         if shortfall.part(elements) - shortfall.part(shortfall.digest.coarse_reference) >= HALF:
@@ -233,7 +249,7 @@ def small_strain_ended(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
-    """The error grows as a swept Poisson's ratio falls, and only cases at low ratios are not within."""
+    """The error grows as a swept Poisson's ratio falls, and only cases at low ratios break the limits."""
     digest = shortfall.digest
     ratios = np.array([case.swept.get(POISSON, math.nan) for case in digest.cases])
     found = np.unique(ratios[np.isfinite(ratios)])
@@ -250,7 +266,7 @@ def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
-    """The reference's own elements on the model's mesh, else what this leaves open by the model's own measure."""
+    """The mesh: the reference's own elements have such an error on it, or the model's estimate of it is large."""
     coarse = shortfall.digest.coarse_reference
     if coarse is not None and shortfall.part(coarse) >= HALF:
         yield Reason(MESH, shortfall.errors(coarse), {"elements": coarse})
@@ -259,7 +275,7 @@ def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def the_reference(shortfall: Shortfall) -> Iterator[Reason]:
-    """Limits that the reference's own error leaves open, with the largest of these."""
+    """Limits that the reference's error bar leaves undecided, with the largest bar of each."""
     digest, model = shortfall.digest, shortfall.model
     numbers, units = {}, {}
     for one in (c for c in digest.criteria if c.of_load):
@@ -272,7 +288,7 @@ def the_reference(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def the_time(shortfall: Shortfall) -> Iterator[Reason]:
-    """A frame that takes longer than is allowed, in the slowest case; whether the errors allow a coarser mesh."""
+    """A frame takes too long; with the slowest case, and whether the errors leave room for a coarser mesh."""
     digest, model = shortfall.digest, shortfall.model
     coarser = bool((digest.at_full(digest.worst_states(model, of_load=True)) == WITHIN).all())
     for limit in (c for c in digest.criteria if not c.of_load):
@@ -306,9 +322,14 @@ RESTING, MOVING, CUTTING, EXACT = (
 
 @dataclass(frozen=True)
 class Advice:
-    """What to take for one kind of interaction: the models that this study measured, the first before others.
+    """Which models to take for one kind of interaction.
 
-    `kind` tells the templates which sentence it is; `allowed` is the time of a frame that was asked for [s].
+    Attributes
+    ----------
+    interaction : the kind, in words
+    kind : which sentence the templates take
+    take : the models of this study to take, the best first
+    allowed : limit of the time of a frame [s]; NaN if there is none
     """
 
     interaction: str
@@ -318,7 +339,7 @@ class Advice:
 
     @property
     def model(self) -> str:
-        """The first, "" where none was measured."""
+        """The best model, "" if there is none."""
         return self.take[0].model if self.take else ""
 
 
@@ -326,7 +347,7 @@ class Advice:
 
 
 def by_interaction(digest: Digest) -> tuple[Advice, ...]:
-    """What to take by what touches the body."""
+    """Which model to take for each kind of interaction."""
     surface = _answered(digest, filter(is_surface, digest.compared))
     elements = _answered(digest, digest.families[Family.ELEMENTS])
     moving = [_moving(digest, surface), _cutting(digest, surface)] if surface else []
@@ -335,18 +356,21 @@ def by_interaction(digest: Digest) -> tuple[Advice, ...]:
 
 
 def _refuses(name: str, digest: Digest) -> bool:
-    """Whether a model, of the study or not, does not take one of its scenes."""
+    """Whether a model, of the study or not, cannot solve one of its scenes."""
     return any(lacks(name, extras_for(name, case.study)) for case in digest.cases)
 
 
 def _resting(digest: Digest) -> Advice:
-    """Every linear model costs the same small product per frame there; condensed elements err as linear ones do."""
+    """Condensed elements, with the errors of linear ones if only these were run.
+
+    On one contact region, every linear model costs the same small matrix product per frame.
+    """
     for name in (CONDENSED, LINEAR):
         if name in digest.compared and math.isfinite(digest.shares(name).max(initial=0.0)):
             if digest.usual_share(name) > 1.0:
                 return _none(RESTING, digest)
             found = digest.figures[name]
-            if name == LINEAR:  # whose times are not theirs
+            if name == LINEAR:  # condensed elements have other times
                 within = int((digest.at_full(digest.worst_states(name, of_load=True)) == WITHIN).sum())
                 found = replace(found, frame=math.nan, set_up=math.nan, within=within)
             return Advice(RESTING, "condensed", (found,))
@@ -354,7 +378,7 @@ def _resting(digest: Digest) -> Advice:
 
 
 def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
-    """The closest of those whose frame with loads everywhere is in time; of one not measured, any frame."""
+    """The surface model with the least error whose frame is in time: with loads everywhere, if measured."""
     limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.nan)
     known = {name: digest.figures[name] for name in _serving(digest, surface)}
     times = {
@@ -368,7 +392,7 @@ def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
 
 
 def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
-    """A cut makes a new body: the least set-up, and what the closest form's costs."""
+    """A cut needs a new set-up: the surface model with the fastest one, and the one with the least error."""
     serving = _serving(digest, surface)
     if not serving:
         return _none(CUTTING, digest)
@@ -378,7 +402,7 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
 
 
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
-    """Elements, or a surface model closer by more than the reference's error; where none serves, that."""
+    """Elements, or a surface model that is closer by more than the reference's error bar; else the reference."""
     if not elements and digest.reference == LINEAR:
         return Advice(EXACT, "elements", (digest.figures[LINEAR],))
     if not elements:
@@ -403,7 +427,7 @@ def _none(interaction: str, digest: Digest, allowed: float = math.nan) -> Advice
 
 
 def _serving(digest: Digest, names: Iterable[str]) -> list[str]:
-    """Models whose errors are within the limits in the median: no other is one to take."""
+    """The models whose median error is within the limits."""
     return [name for name in names if digest.usual_share(name) <= 1.0]
 
 
@@ -412,5 +436,5 @@ def _closest(digest: Digest, names: Iterable[str]) -> str:
 
 
 def _answered(digest: Digest, names: Iterable[str]) -> list[str]:
-    """Models with an answer at full load in more than half of the cases."""
+    """The models with an answer at full load in more than half of the cases."""
     return [name for name in names if math.isfinite(digest.usual_share(name))]

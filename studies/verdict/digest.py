@@ -1,4 +1,4 @@
-"""A run and the selections of its frame that verdict, page and terminal share: families, key cases, spreads."""
+"""A run with the selections from its frame that verdict, page and terminal share: families, key cases, spreads."""
 
 from __future__ import annotations
 
@@ -46,24 +46,24 @@ if TYPE_CHECKING:
 
 Number = TypeVar("Number", bound=np.generic)
 
-# place of the reference in the palette; see `palette.places` for the others
+# place of the reference in the palette; `palette.places` has the others
 REFERENCE = -1
-SAME_NUMBERS = 1e-6  # of the displacement: less is rounding between two ways to solve one system
-ALONG_NORMALS = 1e-9  # of its motion that a model of the normal component has in the surface
+SAME_NUMBERS = 1e-6  # relative error below which two models solve the same system
+ALONG_NORMALS = 1e-9  # tangential share of the motion, below which a model moves nodes along normals only
 NORMAL, CONTACT, HAUSDORFF = "relative_l2_normal_error", "contact_region_error", "hausdorff_distance"
 DRIFT = "volume_drift"
-# what stands beside a time
+# remarks beside a time
 ELSEWHERE, ONCE = "another machine", "one answer"
 
 
 def failed_steps(model: ModelResult) -> list[int]:
-    """Steps that cannot be used."""
+    """The steps that failed."""
     return [step for step, status in enumerate(model.status) if not status.ok]
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A measure over the cases that have it: median and worst, each with the reference's own error in it."""
+    """A measure over the cases that have it: median and worst, each with the error bar of the reference."""
 
     value: float
     bar: float = math.nan
@@ -73,7 +73,7 @@ class Spread:
 
 
 def spread_of(values: Array, bars: Array) -> Spread | None:
-    """Spread of (C,) values, each with the reference's error; without those not finite, None if none is left."""
+    """Spread of the finite ones of (C,) values with (C,) error bars; None if there are none."""
     kept = np.isfinite(values)
     if not kept.any():
         return None
@@ -86,19 +86,22 @@ def spread_of(values: Array, bars: Array) -> Spread | None:
 
 @dataclass(frozen=True)
 class Figures:
-    """A model in numbers, medians over the cases; NaN where not known.
+    """The numbers of a model, medians over the cases; NaN if not known.
 
     Attributes
     ----------
-    lead, value, bar : the number that leads in words, the normal error of a model that moves along normals, else
-        the displacement error; its value, and the reference's own part in it
-    displacement, deformation : both errors
-    frame, everywhere : time of a frame of the contact and with all nodes loaded, over meshes and rounds; without
-        measured frames `frame` is over steps [s]
-    set_up, memory : [s], and the most over the cases [B]
-    marks : what stands beside the times, ELSEWHERE and ONCE
-    same : whether it has the reference's own numbers on its mesh, of which no error tells anything
-    within, cases : cases within all limits, of all
+    lead, value, bar : name of the leading error, its value and its error bar. It is the normal error of a model
+    that
+        moves along normals, else the displacement error
+    displacement, deformation : displacement error, and error in change of shape [1]
+    frame, everywhere : time of a frame of the contact, and with all nodes loaded, over meshes and rounds. If no
+    frames
+        were measured, `frame` is the time of a load step [s]
+    set_up : time of the set-up [s]
+    memory : largest peak memory over the cases [B]
+    marks : remarks beside the times, ELSEWHERE and ONCE
+    same : whether it has the reference's answers on the same mesh, so that its errors are rounding
+    within, cases : number of cases within all limits, and of all cases
     """
 
     model: str
@@ -119,28 +122,28 @@ class Figures:
 
 @dataclass(frozen=True)
 class Outside:
-    """A case whose load a small-strain reference cannot judge: shares of the body's smallest extent and volume."""
+    """A case with a load outside the range of a small-strain reference."""
 
-    case: str
+    case: str  # its hash
     name: str
-    moved: float
-    drift: float
-    weight: bool  # whether the body's weight acts, which no lower load takes away
+    moved: float  # displacement over the body's smallest extent
+    drift: float  # volume drift over the volume
+    weight: bool  # whether the weight acts, which a lower load does not reduce
 
 
 @dataclass(frozen=True)
 class Unreached:
-    """A case whose reference ended before the full load: the share that it reached, 0 of none, and why it ended."""
+    """A case whose reference ended before the full load."""
 
-    case: str
+    case: str  # its hash
     name: str
-    share: float
+    share: float  # of the full load, as far as the reference came
     why: str
 
 
 @dataclass(frozen=True)
 class Digest:
-    """A run with what follows from it. C cases, S steps of the longest load history."""
+    """A run and quantities derived from it. It has C cases; the longest load history has S steps."""
 
     run: Run
 
@@ -151,7 +154,7 @@ class Digest:
 
     @cached_property
     def place(self) -> dict[str, int]:
-        """Hash of each case -> its number."""
+        """Hash of each case -> its index."""
         return {case.hash: k for k, case in enumerate(self.cases)}
 
     @cached_property
@@ -165,7 +168,7 @@ class Digest:
 
     @cached_property
     def _histories(self) -> dict[tuple[str, str], tuple[Array, Array]]:
-        """(model, metric) -> (C, S) values and (C,) bars at full load; NaN where there is none."""
+        """(model, metric) -> (C, S) values and (C,) error bars at full load, NaN if there are none."""
         table, found = self.table, {}
         number, step = table["case"].map(self.place).to_numpy(dtype=int), table["step"].to_numpy(dtype=int)
         value, bar, full = (table[key].to_numpy() for key in ("value", "bar", "full_load"))
@@ -178,7 +181,7 @@ class Digest:
         return found
 
     def history(self, model: str, metric: str) -> Array:
-        """(C, S) a metric of every case and step; NaN where there is none."""
+        """(C, S) a metric at every case and step, NaN if there is none."""
         if (model, metric) in self._histories:
             return self._histories[model, metric][0]
         return np.full(self._shape, math.nan)
@@ -189,32 +192,32 @@ class Digest:
         return np.array([case.full_load for case in self.cases], dtype=int)
 
     def full_loads(self, model: str, metric: str) -> Array:
-        """(C,) a metric of every case at the step of the largest load; NaN where there is none."""
+        """(C,) a metric of every case at the step of the largest load, NaN if there is none."""
         return self.history(model, metric)[np.arange(len(self.cases)), self.full]
 
     def at(self, case: CaseResult, model: str, metric: str) -> float:
-        """A metric of a case at the step of its largest load; NaN where there is none."""
+        """A metric of a case at the step of its largest load, NaN if there is none."""
         return float(self.full_loads(model, metric)[self.place[case.hash]])
 
     def bars(self, metric: str) -> Array:
-        """(C,) the reference's own part in a metric of every case; NaN where there is none."""
+        """(C,) error bar of the reference in a metric of every case, NaN if there is none."""
         return np.array([reference_bar(case.reference_error, metric) for case in self.cases], dtype=float)
 
     def spread(self, model: str, metric: str) -> Spread | None:
-        """A metric of a model at full load over all cases; None where none has it."""
+        """Spread of a model's metric at full load over all cases; None if no case has it."""
         if (model, metric) not in self._histories:
             return None
         return spread_of(self.full_loads(model, metric), self._histories[model, metric][1])
 
     def median(self, model: str, metric: str) -> float:
-        """A metric of a model at full load, median over the cases that have it; NaN where none has."""
+        """Median of a model's metric at full load over the cases that have it; NaN if none has."""
         return median_known(self.full_loads(model, metric))
 
     # --- models ---
 
     @cached_property
     def models(self) -> tuple[str, ...]:
-        """All models by family, the reference last; in one as the study orders them."""
+        """All models by family, in the order of the study; the reference comes last."""
         asked = [str(name) for name in self.run.study.study.models]
         names = dict.fromkeys([*asked, *(name for case in self.cases for name in case.models)])
         order = list(Family)
@@ -228,14 +231,14 @@ class Digest:
 
     @cached_property
     def compared(self) -> tuple[str, ...]:
-        """The models that are measured against the reference."""
+        """The models with an error against the reference."""
         return tuple(
             name for name in self.models if name != self.reference and (name, VECTOR) in self._histories
         )
 
     @cached_property
     def coarse_reference(self) -> str | None:
-        """The reference's own model on the case's mesh, where the cases were held against it on a refined one."""
+        """The reference's model on the case's own mesh, if the reference is on a refined mesh; else None."""
         asked = self.run.study.study.reference
         return asked if asked != self.reference and asked in self.compared else None
 
@@ -247,14 +250,14 @@ class Digest:
         }
 
     def same_as_reference(self, model: str) -> bool:
-        """Whether a model's answers are the reference's own to rounding, where that is solved on the same mesh."""
+        """Whether a model has the reference's answers to rounding, with the reference on the same mesh."""
         spread = None if str(self.reference).endswith(REFINED) else self.spread(model, VECTOR)
         return spread is not None and spread.worst < SAME_NUMBERS
 
     def floor(self, model: str) -> float:
-        """The displacement error of the reference itself, moved along normals only; NaN of models that move freely.
+        """Least displacement error of models that move nodes along normals: that of the reference's normal part.
 
-        No model that moves its nodes along normals can be closer.
+        NaN for models that move nodes freely.
         """
         share = self.spread(model, "tangential_share")
         if self.reference is None or share is None or not share.worst < ALONG_NORMALS:
@@ -262,7 +265,7 @@ class Digest:
         return self.median(self.reference, "tangential_share")
 
     def leading(self, model: str) -> str:
-        """The metric that leads: the normal error of a model that moves along normals, else displacement."""
+        """The leading metric: the normal error of a model that moves along normals, else the displacement error."""
         return NORMAL if math.isfinite(self.floor(model)) else VECTOR
 
     # --- against the limits of the study ---
@@ -273,13 +276,13 @@ class Digest:
         return criteria(self.run.study)
 
     def allowed(self, metric: str) -> float:
-        """What the study accepts of a metric; NaN where it limits another."""
+        """The study's limit of a metric, NaN if there is none."""
         return next((one.allowed for one in self.criteria if one.metric == metric), math.nan)
 
     def states(self, model: str, one: Criterion) -> States:
-        """(C, S) where a model stands against a criterion at each step.
+        """(C, S) how a model stands against a limit at each step.
 
-        A reference that moves as a rigid body has no change of shape, and a model's error in that is NOT_ASKED.
+        If the reference moves as a rigid body, the error in change of shape is undefined, and its state NOT_ASKED.
         """
         values, answered = self.history(model, one.metric), np.isfinite(self.history(model, VECTOR))
         if not one.of_load:
@@ -291,17 +294,17 @@ class Digest:
         return found
 
     def worst_states(self, model: str, *, of_load: bool = False) -> States:
-        """(C, S) the worst over the limits; `of_load` leaves out what no load can break."""
+        """(C, S) the worst state over the limits; `of_load` leaves out limits that do not depend on the load."""
         chosen = [one for one in self.criteria if one.of_load or not of_load]
         return np.asarray(np.max([self.states(model, one) for one in chosen], axis=0))
 
     def at_full(self, values: NDArray[Number]) -> NDArray[Number]:
-        """(C,) of (C, S) those at full load."""
+        """(C,) the values at full load, of (C, S)."""
         return values[np.arange(len(self.cases)), self.full]
 
     @cached_property
     def _standings(self) -> dict[str, tuple[States, Array]]:
-        """Model that is compared -> (C,) its worst state and (C,) largest error over its limit, at full load."""
+        """Compared model -> (C,) worst state and (C,) largest error over its limit, at full load."""
         found = {}
         for name in self.compared:
             shares = [self.full_loads(name, c.metric) / c.allowed for c in self.criteria if c.of_load]
@@ -310,22 +313,22 @@ class Digest:
         return found
 
     def standing(self, model: str) -> States:
-        """(C,) the worst state of a compared model in each case at full load."""
+        """(C,) worst state of a compared model at full load."""
         return self._standings[model][0]
 
     def shares(self, model: str) -> Array:
-        """(C,) the largest error over its limit at full load, whatever the time; infinite without an answer."""
+        """(C,) largest error over its limit at full load, without the limit of time; infinite without an answer."""
         return self._standings[model][1]
 
     def usual_share(self, model: str) -> float:
-        """Median of `shares`; infinite if most have none."""
+        """Median of `shares`; infinite if most cases have no answer."""
         return float(np.median(self.shares(model))) if self.cases else math.inf
 
     def deciding(self, family: Family) -> str:
-        """The model that decides in a family: the one that stands best by the answer, then by error, never by time.
+        """The model that decides for a family: the one with the best word, then with the least median error.
 
-        Of equal ones, or where half the cases or more have no answer, by how many have one. So one more model in
-        a family never makes its answer a worse one.
+        Ties, also of models without an answer in most cases, go to the model with the most answers. Time does not
+        count. So a further model never makes the word of its family worse.
         """
 
         def rank(model: str) -> tuple[float, ...]:
@@ -339,7 +342,7 @@ class Digest:
 
     @cached_property
     def surfaces(self) -> dict[str, Surface]:
-        """Hash of each case -> its undeformed surface; cases on the same mesh share one, measured once."""
+        """Hash of each case -> its undeformed surface; cases on the same mesh share one."""
         shared: dict[tuple[bytes, bytes], Surface] = {}
         return {
             case.hash: shared.setdefault(
@@ -355,7 +358,7 @@ class Digest:
 
     @cached_property
     def outside(self) -> tuple[Outside, ...]:
-        """The cases out of the reference's range."""
+        """The cases outside the range of a small-strain reference."""
         if self.reference is None or split(self.reference)[0] in FINITE_STRAIN:
             return ()
         found = []
@@ -384,26 +387,26 @@ class Digest:
 
     @cached_property
     def unanswered(self) -> int:
-        """Cases in which no model has an answer to the full load."""
+        """Number of cases in which no model has an answer at full load."""
         return sum(
             not any(model.status[case.full_load].ok for model in case.models.values()) for case in self.cases
         )
 
     @cached_property
     def in_range(self) -> Digest:
-        """The same of the cases that can be judged; itself where that is all of them."""
+        """The digest of the cases that can be judged; itself if all can."""
         beyond = {one.case for one in self.outside} | {one.case for one in self.unreached}
         if not beyond:
             return self
         return Digest(replace(self.run, cases=[case for case in self.cases if case.hash not in beyond]))
 
     def stopped(self, model: str) -> int:
-        """How many cases have a step of a model that failed."""
+        """Number of cases in which a step of a model failed."""
         return sum(bool(failed_steps(case.models[model])) for case in self.cases if model in case.models)
 
     @cached_property
     def swept_keys(self) -> list[str]:
-        """Swept parameters that take more than one value."""
+        """The swept parameters with more than one value."""
         keys = dict.fromkeys(key for case in self.cases for key in case.swept)
         return [key for key in keys if len({case.swept.get(key) for case in self.cases}) > 1]
 
@@ -413,7 +416,7 @@ class Digest:
 
     @cached_property
     def focus(self) -> str | None:
-        """The model that the page looks at closely: what decides in the first family that has an answer."""
+        """The model that the page shows in detail: the deciding one of the first family that has an answer."""
         digest = self.in_range if self.in_range.compared else self
         deciding = [digest.deciding(family) for family, models in digest.families.items() if models]
         answering = (name for name in deciding if np.isfinite(digest.shares(name)).any())
@@ -423,9 +426,9 @@ class Digest:
 
     @cached_property
     def key_cases(self) -> list[tuple[str, CaseResult]]:
-        """(role, case): the worst, the median and the best case of the focus model, fewer where there are fewer.
+        """(role, case) of the worst, the median and the best case of the focus model, without repeats.
 
-        Without a reference: those with the largest, median and smallest displacement.
+        Without a reference they are those with the largest, median and smallest displacement.
         """
         if len(self.cases) < 2:
             return [("", case) for case in self.cases]
@@ -447,13 +450,13 @@ class Digest:
     # --- names and looks ---
 
     def case_name(self, case: CaseResult) -> str:
-        """What a case is called on the page."""
+        """The name of a case on the page."""
         if case.label:
             return case.label
         return "the only case" if len(self.cases) == 1 else f"case {case.hash[:8]}"
 
     def title(self, role: str, case: CaseResult) -> str:
-        """A key case with its role."""
+        """The name of a key case with its role."""
         return f"{role.capitalize()}: {self.case_name(case)}" if role else self.case_name(case)
 
     @cached_property
@@ -465,14 +468,14 @@ class Digest:
         return REFERENCE if model == self.reference else self._places[model]
 
     def mark(self, name: str) -> int | None:
-        """The place of a name in the palette, None of what is no model of the run."""
+        """The place of a model in the palette; None if the run has no such model."""
         return self.colour(name) if name in self.models else None
 
     # --- numbers ---
 
     @cached_property
     def figures(self) -> dict[str, Figures]:
-        """Of every model."""
+        """Model -> its `Figures`."""
         return {name: self._figures(name) for name in self.models}
 
     def _figures(self, name: str) -> Figures:
@@ -500,7 +503,7 @@ class Digest:
         )
 
     def _marks(self, name: str) -> tuple[str, ...]:
-        """What is said of a model's times: nothing where all were measured in turns with the others, here."""
+        """Remarks about a model's times; none if all were measured on this machine, in turns with the others."""
         found, here = set(), ("", processor_name())
         for case in (case for case in self.cases if name in case.models):
             frames = case.models[name].frames
@@ -511,7 +514,7 @@ class Digest:
 
 
 def _largest(case: CaseResult, model: str | None) -> float:
-    """Largest displacement of a model at full load [m]; NaN where there is none."""
+    """Largest displacement of a model at full load [m], NaN if there is none."""
     result = case.models.get(str(model))
     if result is None:
         return math.nan
@@ -519,16 +522,16 @@ def _largest(case: CaseResult, model: str | None) -> float:
 
 
 def frame_of(results: Sequence[ModelResult]) -> float:
-    """Median seconds of a frame of the contact over meshes and rounds; over steps where none was measured."""
+    """Median seconds of a frame of the contact over meshes and rounds; of the load steps if none was measured."""
     frames = [result.frames.contact for result in results if result.frames is not None]
     return median_known(*(frames or [result.seconds_per_step for result in results]))
 
 
 def median_known(*parts: Array) -> float:
-    """Median of the numbers in some arrays that are finite; NaN where there are none."""
+    """Median of the finite numbers in some arrays, NaN if there are none."""
     values = np.concatenate([np.zeros(0), *parts])
     known = values[np.isfinite(values)]
     return float(np.median(known)) if len(known) else math.nan
 
 
-digest_of = lru_cache(maxsize=1)(Digest)  # page, terminal and notebook show one run
+digest_of = lru_cache(maxsize=1)(Digest)  # page, terminal and notebook show the same run

@@ -1,4 +1,4 @@
-"""Numbers as a reader wants them: few digits, a unit that fits, a true minus sign."""
+"""Numbers for readers: few digits, a suitable unit prefix, a true minus sign."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ def percent(ratio: float, *, signed: bool = False) -> str:
 
 
 def short_percent(ratio: float) -> str:
-    """A ratio as a percentage, as it is read against a limit: 11.6 %, where 12 % would mislead."""
+    """A ratio as a percentage with a tenth of a per cent, to compare with a limit: 11.6 %, not 12 %."""
     if 0.01 <= abs(ratio) < 1.0:
         return f"{plain(round(100.0 * ratio, 1))} %"
     return f"{plain(100.0 * ratio, 2 if abs(ratio) < 1.0 else 3)} %"
 
 
 def scale_of(unit: str, values: Iterable[float], digits: int = 3) -> tuple[float, str]:
-    """(factor, shown unit) that suits the largest of some SI values to some digits: shown = SI / factor."""
+    """(factor, shown unit) that suits the largest of some SI values at some digits; shown = SI / factor."""
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     scales = _SCALES.get(unit)
     if scales is None or largest == 0.0:
@@ -86,18 +86,18 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def of_unit(value: float, unit: str) -> str:
-    """A metric: a percentage where it has no unit."""
+    """A metric's value; a percentage if it has no unit."""
     return percent(value) if unit == "1" else quantity(value, unit)
 
 
 def measure(value: float, unit: str = "1", bar: float = math.nan) -> str:
-    """A number as it is read against a limit: `39.7 % ± 2 %`, without the bar where that is not known."""
+    """A number to compare with a limit, and its error bar if known: `39.7 % ± 2 %`."""
     text = short_percent(value) if unit == "1" else quantity(value, unit)
     return f"{text} ± {measure(bar, unit)}" if math.isfinite(bar) else text
 
 
 def loads_in_words(loads: Sequence[float], unit: str) -> str:
-    """Forces in newtons, pressures in the unit that suits them, else shares of the full load: `0.1 to 0.4 N`."""
+    """A range of loads, `0.1 to 0.4 N`; of loads without a unit as shares of the full load."""
     if unit != "1":
         return span(loads, unit, 3)
     if loads[-1] == loads[0] == 1.0:
@@ -106,10 +106,10 @@ def loads_in_words(loads: Sequence[float], unit: str) -> str:
 
 
 def span(values: Sequence[float], unit: str, digits: int = 4) -> str:
-    """`0.1 to 0.4 N`, one number where all are the same, empty without any."""
+    """A range `0.1 to 0.4 N`; one number if all are equal; "" for no values."""
     if not values:
         return ""
-    # a force on tissue is told in newtons from a hundredth on
+    # forces from 0.01 N on are shown in newtons, not in millinewtons
     in_newtons = unit == "N" and 0.01 <= max(map(abs, values)) < 1e3
     factor, shown = (1.0, "N") if in_newtons else scale_of(unit, values)
     ends = dict.fromkeys(plain(end / factor, digits) for end in (min(values), max(values)))
@@ -129,7 +129,7 @@ def round_below(value: float) -> float:
 
 
 def swept_value(value: float | str, unit: str) -> str:
-    """A swept parameter's value, exact enough to tell it from its neighbours."""
+    """A swept parameter's value with six digits, which tell it from its neighbours."""
     if isinstance(value, str):
         return value
     factor, shown = scale_of(unit, [float(value)])
@@ -143,7 +143,7 @@ def listed(items: Iterable[str]) -> str:
 
 
 def first_of(names: Sequence[str], most: int) -> str:
-    """The first of many, with how many more there are."""
+    """The first `most` of the names, and how many more there are."""
     more = [f"{len(names) - most} more"] if len(names) > most else []
     return listed([*names[:most], *more])
 
@@ -159,11 +159,11 @@ def parameter_name(key: str) -> str:
 
 
 def input_name(key: str) -> str:
-    """An input as words; of a region's shape with the region: `fraction of below (base)`."""
+    """An input as words; for the shape of a region, with the region: `fraction of below (base)`."""
     parts = key.split(".")
     return f"{parameter_name(key)} ({parts[1]})" if parts[0] == "regions" else parameter_name(key)
 
 
 def capital(text: str) -> str:
-    """With a capital letter first."""
+    """The text with a capital first letter."""
     return f"{text[:1].upper()}{text[1:]}"

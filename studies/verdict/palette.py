@@ -1,6 +1,6 @@
-"""Which place in the palette a model has: the same in every report, by its name.
+"""The place of each model in the palette, which its name decides, so that it is the same in every report.
 
-A place is a number. It decides colour, marker and line style; see `vdmbench.report.plots`.
+A place is a number. It gives colour, marker and line style; see `vdmbench.report.plots`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable
 
-COLOURS = 7  # as many markers; a place beyond has another marker and a broken line
+COLOURS = 7  # and as many markers; later places pair them differently, with broken lines
 _KNOWN = (
     "vdm-paper",
     "vdm-consistent",
@@ -25,7 +25,7 @@ _PLACES = COLOURS**2
 
 
 def places(names: Iterable[str]) -> dict[str, int]:
-    """Name -> place; a known model has a fixed one, any other the first free place from its hash on."""
+    """Name -> place. A known model has a fixed place, any other the first free place from its hash on."""
     wanted = sorted(set(names))
     found = {name: _KNOWN.index(name) for name in wanted if name in _KNOWN}
     free = list(range(len(_KNOWN), max(_PLACES, len(_KNOWN) + len(wanted))))

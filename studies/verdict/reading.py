@@ -1,8 +1,11 @@
-"""What a solver made of a case, beyond what it says: whether its numbers are right as far as can be told.
+"""Checks the numbers of a model that converged, beyond the status that its solver gives.
 
-Codes beside those of solvers: `WRONG`, called converged and not right; "step-too-long": the quasi-linear solver's
-volume is that of the last step by its definition (33), an error of second order in the step that no status of one
-step can tell; "beyond-linear": a linear answer, right as such, at a load that its assumptions do not reach.
+Status codes beside those of solvers:
+
+`WRONG`          called converged, but the numbers are not right
+"step-too-long"  the quasi-linear solver takes the volume of the last step, by definition (33). This error is of
+                 second order in the step; the status of one step cannot show it
+"beyond-linear"  a correct linear answer at a load beyond the range of linear models
 """
 
 from __future__ import annotations
@@ -22,15 +25,15 @@ from .digest import failed_steps
 from .formatting import short_percent
 
 WRONG = "wrong"
-RESIDUAL = 1e-6  # relative; more is no solution of the system
-SINGLE_RESIDUAL = 1e-3  # the same where 32 bits were asked for: they leave 1e-4 at 10,000 nodes
-DIFFERENT = 1e-3  # of the largest displacement; more is another answer than the trusted solver's
-BEYOND_LINEAR = 0.05  # of the volume, which linear terms keep and the displacement that they give does not
-LEFT = 1e-3  # of the largest displacement, left after all loads are taken away
+RESIDUAL = 1e-6  # largest relative residual of a solution
+SINGLE_RESIDUAL = 1e-3  # the same in single precision, which leaves 1e-4 at 10,000 nodes
+DIFFERENT = 1e-3  # largest difference from the trusted solver's answer, over the largest displacement
+BEYOND_LINEAR = 0.05  # largest change of volume of second order, over the volume
+LEFT = 1e-3  # largest displacement that stays after unloading, over the largest displacement
 
 
 def trusted(case: CaseResult, model: str) -> str | None:
-    """The solver of the same linear system whose answer is taken as right: refined, else the direct one."""
+    """The model that solves the same linear system most reliably: refined, else direct; None if there is none."""
     if not is_linear(model):
         return None
     name, _ = split(model)
@@ -39,7 +42,7 @@ def trusted(case: CaseResult, model: str) -> str | None:
 
 
 def reading(case: CaseResult, model: str) -> Status | None:
-    """What came out of a model in a case over all its load history; None where it was not run."""
+    """The status of a model in a case over its whole load history; None if it was not run."""
     result = case.models.get(model)
     if result is None:
         return None
@@ -64,7 +67,7 @@ def reading(case: CaseResult, model: str) -> Status | None:
 
 
 def _largest(values: Array | None) -> float:
-    """Largest size of what is finite, NaN where nothing is; an infinite value counts as infinite."""
+    """Largest absolute value, without NaN; NaN if there is none."""
     known = np.abs(values[~np.isnan(values)]) if values is not None else np.zeros(0)
     return float(known.max()) if len(known) else math.nan
 
@@ -82,7 +85,7 @@ def _difference(case: CaseResult, model: str) -> float:
 
 
 def _second_order(case: CaseResult, model: str) -> float:
-    """Largest change of volume of a linear model that its own first order does not have, over the volume."""
+    """Largest relative change of volume of a linear model beyond first order, the sum of its strains."""
     names = ("volume_drift", "mean_strain_x", "mean_strain_y", "mean_strain_z")
     known = [values for name in names if (values := series(case, model, name)) is not None]
     if not is_linear(model) or len(known) < len(names):

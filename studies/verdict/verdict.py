@@ -1,6 +1,6 @@
-"""What a run says: one verdict a family of models, each held against the study's own limits, then what to take.
+"""The verdicts of a run: one for each family of models, against the study's limits, and which model to take.
 
-Page, terminal, JSON and Python take these objects; `words` puts them in sentences.
+Page, terminal, JSON and Python share these objects; `words` puts them into sentences.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from .digest import Digest, Figures, Outside, Unreached, failed_steps, median_kn
 from .formatting import short_percent
 from .reading import reading
 
-_WORST = (BEYOND, OPEN, WITHIN, LOST)  # which case decides: the first of these that a model has
+_WORST = (BEYOND, OPEN, WITHIN, LOST)  # the case with the first of these states gives the number
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w.]*\w)")
 
 
@@ -53,9 +53,9 @@ class Limit(Criterion):
     Attributes
     ----------
     word : yes, no, undecided or not judged
-    value, bar : the number that decides, of the worst case, and the reference's own part in it, NaN where not known
-    case : the worst case, "" where there is one only
-    counts : how many cases are within, undecided, beyond, without an answer
+    value, bar : value of the worst case and its error bar, NaN if not known
+    case : the worst case, "" if there is only one case
+    counts : number of cases within, undecided, beyond, and without an answer
     """
 
     word: str
@@ -73,14 +73,14 @@ class Verdict:
     ----------
     family : see `vdmbench.study.registry.Family`
     word : yes, no, undecided or not judged: that of the worst judged case
-    models : those of the family that are compared
-    model : the one that decides, which all below is about
-    figures : what is known of it; None where none decides
-    counts : how many cases are within, undecided, beyond, without an answer
-    limits : one entry a limit
-    why_not : causes, of what is not within
-    seen_in : the case whose figures show them; empty of a study of one case, and where all cases show them
-    up_to : the load up to which every judged case is within; None where the loads are not known
+    models : the compared models of the family
+    model : the model that decides; the attributes below are about it
+    figures : its numbers; None if no model decides
+    counts : number of cases within, undecided, beyond, and without an answer
+    limits : one entry for each limit
+    why_not : the causes, if it is not within the limits in every case
+    seen_in : the case that shows the causes; "" in a study of one case, and if all cases show them
+    up_to : the load up to which every judged case is within; None if the loads are not known
     states : hash of each case -> its word
     """
 
@@ -99,9 +99,13 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Remark:
-    """What a model says against its own usable answers, or what is doubtful about a constraint.
+    """A warning of a model about its own answers, or a doubt about a constraint.
 
-    The first text of its kind, and in how many cases.
+    Attributes
+    ----------
+    about : the model, or the constraint
+    text : the first text of its kind
+    cases : in how many cases it came up
     """
 
     about: str
@@ -111,7 +115,7 @@ class Remark:
 
 @dataclass(frozen=True)
 class Measured:
-    """How far a model is from a measurement: of so many values, how many are within the validation uncertainty."""
+    """Of how many measured values a model is within the validation uncertainty."""
 
     model: str
     within: int
@@ -120,12 +124,12 @@ class Measured:
 
 @dataclass(frozen=True)
 class Sureness:
-    """How sure the figures are: the reference's own error in a displacement error, and what its levels do.
+    """How sure the errors are.
 
     Attributes
     ----------
-    bar : median over the cases, NaN where not measured
-    behaviours : behaviour of the mesh levels -> cases
+    bar : error bar of the displacement error, median over the cases; NaN if not measured
+    behaviours : behaviour of the reference's mesh levels -> number of cases
     """
 
     bar: float
@@ -134,20 +138,21 @@ class Sureness:
 
 @dataclass(frozen=True)
 class Verdicts(Mapping[str, Verdict]):
-    """The answers of a run by family, all five in the order of `Family`, and what holds for the whole run.
+    """The verdicts of a run by family, all five in the order of `Family`, and what holds for the whole run.
 
     Attributes
     ----------
     families : family -> its verdict
-    reference : what all is held against, "" for nothing
-    cases : with a result
-    not_judged : why nothing at all is judged: one of the four below, "" where something is
-    outside, unreached : cases out of the reference's range, and those whose load it did not reach; not counted
-    take : what to take for each kind of interaction
-    reservations, doubts : what models and reference say against the answers; what speaks against the scene
-    small_strain : whether the reference is a linear one
-    sure : how sure the figures are; None where there are none
-    measured : the reference and the models that decide, against a measurement, where there is one
+    reference : the reference, "" if there is none
+    cases : number of cases with a result
+    not_judged : why no family is judged: one of the four words below; "" if one is
+    outside, unreached : cases outside the reference's range, and cases whose load it did not reach; neither counts
+    take : which model to take for each kind of interaction
+    reservations : warnings of models and reference about their answers
+    doubts : doubts about the scene
+    small_strain : whether the reference is a small-strain model
+    sure : how sure the errors are; None if there are none
+    measured : the reference and the deciding models, against a measurement if there is one
     """
 
     families: dict[str, Verdict]
@@ -174,19 +179,19 @@ class Verdicts(Mapping[str, Verdict]):
 
     @property
     def asked(self) -> list[Verdict]:
-        """Those of the families that the study compares."""
+        """The verdicts of the families with compared models."""
         return [one for one in self.families.values() if one.models]
 
     def as_data(self) -> dict[str, Any]:
-        """As plain data, None where a number is not known: `verdicts` by family, the rest in `judgement`."""
+        """Plain data, with None for unknown numbers: `verdicts` by family, the rest in `judgement`."""
         data = {part.name: plain(getattr(self, part.name)) for part in dataclasses.fields(self)}
         return {"verdicts": data.pop("families"), "judgement": data}
 
 
-@lru_cache(maxsize=1)  # page, terminal and notebook show one run
+@lru_cache(maxsize=1)  # page, terminal and notebook show the same run
 def verdicts(digest: Digest) -> Verdicts:
-    """What comes out of a run."""
-    # overflow is no surprise in what a model that broke down left behind
+    """The verdicts of a run."""
+    # the numbers of a model that broke down may overflow
     with np.errstate(all="ignore"):
         return _verdicts(digest)
 
@@ -198,7 +203,7 @@ def _verdicts(digest: Digest) -> Verdicts:
     found = {}
     for family, models in digest.families.items():
         one = Verdict(family.value, models=models, states=unjudged)
-        # a model may have answers in cases out of range alone
+        # a model may have answers only in cases that are not judged
         if not nothing and inside.families[family]:
             one = _family(inside, family, unjudged)
         found[family.value] = one
@@ -257,7 +262,7 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
 
 
 def _limit(digest: Digest, model: str, one: Criterion) -> Limit:
-    """One limit over all cases, with the numbers of the case that stands worst against it."""
+    """One limit over all cases, with the numbers of the case that is worst against it."""
     values, bars = digest.full_loads(model, one.metric), digest.bars(one.metric)
     states = digest.at_full(digest.states(model, one))
     asked = states[states != NOT_ASKED]
@@ -278,7 +283,7 @@ def _limit(digest: Digest, model: str, one: Criterion) -> Limit:
 
 
 def _doubts(digest: Digest) -> Iterator[Remark]:
-    """What is doubtful about the scenes of the key cases: each constraint's, of several cases the first."""
+    """Doubts about the scenes of the key cases: the first one about each constraint."""
     found: dict[str, list[str]] = {}
     for _, case in digest.key_cases:
         study, factor = case.study, float(abs(case.load_factors).max())
@@ -293,11 +298,11 @@ def _doubts(digest: Digest) -> Iterator[Remark]:
 
 
 def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Remark]:
-    """What models and reference say of steps that can be used, and what the numbers of the models say of it.
+    """Warnings of models and reference about converged steps, and of `reading` about the models' numbers.
 
-    Of all models where none is chosen: answers that nothing judges have their reservations too. Of messages of one
-    model that differ in a number alone the first is told, and of a case's the last. What is said of a smaller load
-    than the whole names it.
+    If `models` is empty, as when nothing is judged, they are those of all models. Each case gives its last two
+    messages. Messages that differ in numbers only count as one, and the first is shown. A message about a part of
+    the load says which part.
     """
     found: dict[tuple[str, str], list[str]] = {}
     for case in digest.cases:
@@ -308,7 +313,7 @@ def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Remark]:
             own = reading(case, name) if name in models else None
             if own is not None and not own.ok and not failed_steps(result):
                 told.append((own.message, ""))
-            # of a history the last two say most
+            # the last two messages of a history matter most
             for skeleton, message in {_NUMBER.sub("", m): at + m for m, at in told[-2:]}.items():
                 found.setdefault((name, skeleton), []).append(message)
     for (name, _), messages in found.items():
@@ -316,7 +321,7 @@ def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Remark]:
 
 
 def _of_steps(factors: Array, status: Sequence[Status]) -> list[tuple[str, str]]:
-    """What was said of steps that can be used, and before it of which load where that is less than the whole."""
+    """(message, words before it) of each converged step with a message; the words name a partial load."""
     full = factors[full_load_step(factors)]
     return [
         (
@@ -339,7 +344,7 @@ def _sureness(digest: Digest) -> Sureness:
 
 
 def _measured(digest: Digest, models: Sequence[str]) -> Iterator[Measured]:
-    """Of the reference and of models that decide in a family; where there is none of them, of all."""
+    """`Measured` of the reference and the deciding models; of all models if there are none of these."""
     found = [case.measurement for case in digest.cases if case.measurement is not None]
     names = [name for name in dict.fromkeys((digest.reference or "", *models)) if name] or digest.models
     for name in names:

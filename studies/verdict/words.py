@@ -1,4 +1,4 @@
-"""The verdicts in plain sentences, the same wherever they are shown: the templates of `words.txt`, filled."""
+"""The verdicts in sentences, from the templates in `words.txt`: the same on page, terminal and in JSON."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ WHY = "Why not?"
 MEASURED = "What does the measurement say?"
 LOAD = "Up to which load?"
 SURE = "How sure is this?"
-BESIDE = (WHY, LOAD)  # what the page has in the table of limits
+BESIDE = (WHY, LOAD)  # the page answers these in the table of limits
 ON_TERMINAL = (WHY, MEASURED, LOAD)
 
 
 def told(verdicts: Verdicts) -> dict[str, Any]:
-    """The verdicts in words, as JSON has them.
+    """The verdicts in words, as in the JSON output.
 
     Returns
     -------
     dict
-        `rows`, one a family: its `title`, its `word`, the `model` that decides, its `numbers`, and one `text`;
-        `notes`, what holds for all rows; `instead`, what to take; `further`, a question -> its answer.
+        `rows`: for each family its `title`, its `word`, the `model` that decides, its `numbers`, and one `text`;
+        `notes` that hold for all rows; `instead`: which model to take; `further`: question -> its answer.
     """
     judged = [one for one in verdicts.asked if one.model]
     loads = [f"{one.model}: {text}" for one in judged for text in said("reached", one)]
@@ -63,7 +63,7 @@ def _row(one: Verdict, numbers: Sequence[str]) -> dict[str, Any]:
 
 
 def why_not(one: Verdict) -> list[str]:
-    """The causes of what is not within."""
+    """The causes of a verdict that is not "yes", in words."""
     return [text for reason in one.why_not for text in said("why", reason)]
 
 
@@ -71,7 +71,7 @@ _WORDS = Path(__file__).with_suffix(".txt")
 
 
 def said(macro: str, *about: Any, file: Path = _WORDS) -> list[str]:
-    """The sentences of a macro of a file, one from each of its lines."""
+    """The sentences of a macro in a template file, one for each line that it renders."""
     lines = str(getattr(_templates(file), macro)(*about)).split("\n")
     return [" ".join(line.split()) for line in lines if line.strip()]
 

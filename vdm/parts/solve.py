@@ -120,9 +120,9 @@ class PartsSolver:
 
         A failed answer needs it, unless strain is the cause: the last state is strained by more than
         `LARGEST_STRAIN` and turns by less than `MOST_TURN` within its parts. A found answer needs it if it turns by
-        more than `MOST_TURN` within a part, which the linear answer did not predict. It also needs it if the error of
-        the parts exceeds that of the mesh, and their sum the limit of `vdm.reservations`. Found answers are doubled
-        only if twice the parts can be compared with twice as many again.
+        more than `MOST_TURN` within a part, which the linear answer did not predict. It also needs it if the error
+        of the parts exceeds that of the mesh, and their sum the limit of `vdm.reservations`. Found answers are
+        doubled only if twice the parts can be compared with twice as many again.
         """
         if self._given:
             return False
