@@ -1,4 +1,4 @@
-"""What a section of the page is made of. A section is a function that returns blocks; the templates draw them."""
+"""The blocks of the page's sections. A section is a function that returns blocks; templates draw them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..verdict.words import said
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph. `kind`: "plain" or "note" (small print)."""
+    """A paragraph; `kind` is "plain" or "note" (small print)."""
 
     template: ClassVar[str] = "text"
     text: str
@@ -29,13 +29,13 @@ _NOTES = Path(__file__).parent / "templates" / "notes.txt"
 
 
 def note(macro: str, *about: Any, kind: str = "note") -> Text:
-    """What a macro of `templates/notes.txt` says, as small print."""
+    """The text of a macro in `templates/notes.txt`, as small print."""
     return Text(" ".join(said(macro, *about, file=_NOTES)), kind)
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a table: what is shown, a second line below it, and the full number for CSV and sorting."""
+    """One entry of a table: its text, a second line `detail`, and the full number for CSV and sorting."""
 
     text: str
     detail: str = ""
@@ -44,21 +44,21 @@ class Cell:
 
     @property
     def exact(self) -> float | None:
-        """The full number, None where there is none or it is not finite."""
+        """The full number; None if there is none or it is not finite."""
         return self.value if self.value is not None and math.isfinite(self.value) else None
 
 
 def bar_detail(
     value: float, bar: float, shown: Callable[[float], str] = percent, unknown: str = f"± {NOT_MEASURED}"
 ) -> str:
-    """The detail of a cell: the error bar of its value, and whether the value stands out from it."""
+    """The detail of a cell: the error bar of its value, and "unresolved" if the bar may explain the value."""
     if not math.isfinite(bar):
         return unknown
     return f"± {shown(bar)}" + ("" if is_resolved(value, bar) else "\nunresolved")
 
 
 def spread_cell(spread: Spread | None, unit: str, floor: float = math.nan) -> Cell | None:
-    """The median over the cases with its bar, the worst of several, and what none can be below."""
+    """The median over the cases with its error bar, the worst of several cases, and the least possible value."""
     if spread is None:
         return None
     bar = bar_detail(spread.value, spread.bar, lambda value: of_unit(value, unit), unknown="")
@@ -69,13 +69,15 @@ def spread_cell(spread: Spread | None, unit: str, floor: float = math.nan) -> Ce
 
 @dataclass(frozen=True)
 class Field:
-    """A column of a table: how it is called and what it takes from a row.
+    """A column of a table.
 
     Attributes
     ----------
-    of : row -> a number in `unit` (SI, "1" for a share, "#" for none), a text, a cell, or None for nothing
-    unit : "" of texts
-    bar : row -> the error bar of the number, told below it
+    title : name of the column
+    of : row -> a number in `unit`, a text, a cell, or None for an empty cell
+    unit : SI unit, "1" for shares, "#" for other numbers without unit, "" for texts
+    detail : second line of the head
+    bar : row -> the error bar of the number, shown below it
     """
 
     title: str
@@ -86,7 +88,7 @@ class Field:
 
     @property
     def shown_unit(self) -> str:
-        """The unit that stands in the head of a file, "" of a text and of what has none."""
+        """The unit in the head of a CSV file, "" if there is none."""
         return self.unit.replace("#", "")
 
     def cell(self, row: Any) -> Cell:
@@ -108,16 +110,16 @@ class Field:
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells. Rows beyond `open_rows` are folded away, not left out."""
+    """Rows of cells. Rows beyond `open_rows` are folded, not left out."""
 
     template: ClassVar[str] = "table"
     name: str  # of the CSV file
     caption: str
     columns: Sequence[Field]
     rows: Sequence[Sequence[Cell]]
-    marks: Sequence[int | None] = ()  # per row: the model whose colour it carries
+    marks: Sequence[int | None] = ()  # for each row the palette place of its colour
     open_rows: int = 30
-    tools: bool = True  # whether it can be copied, saved and sorted
+    tools: bool = True  # whether readers can copy, save and sort it
 
 
 def frame_table(
@@ -128,9 +130,14 @@ def frame_table(
     mark: Callable[[Any], int | None] | None = None,
     **about: Any,
 ) -> Table:
-    """A table with a row for each of `rows`; `mark` tells the model whose colour a row carries.
+    """A table with one row for each of `rows`, without columns that have no entries.
 
-    `about` are further attributes of `Table`. A column without an entry is left out.
+    Parameters
+    ----------
+    rows, fields : the rows, and the columns that read them
+    name : of the CSV file
+    mark : row -> palette place of its colour
+    about : further attributes of `Table`
     """
     cells = [[field.cell(row) for field in fields] for row in rows]
     kept = [k for k in range(len(fields)) if k == 0 or any(row[k].text != NOTHING for row in cells)]
@@ -142,7 +149,7 @@ def frame_table(
 
 @dataclass(frozen=True)
 class Figure:
-    """A plot with what it shows, for readers and for screen readers."""
+    """A plot with its title."""
 
     svg: Markup
     title: str
@@ -158,16 +165,16 @@ class Figures:
 
 @dataclass(frozen=True)
 class Code:
-    """Text to copy: commands, a study file, what it was run with."""
+    """Text to copy: commands, a study file, versions of packages."""
 
     template: ClassVar[str] = "code"
     text: str
-    summary: str = ""  # folded away under this where given
+    summary: str = ""  # heading under which it is folded; "" to show it
 
 
 @dataclass(frozen=True)
 class Still:
-    """A picture and what it shows in words."""
+    """A picture, and what it shows in words."""
 
     title: str
     url: str  # with the data in it
@@ -176,7 +183,7 @@ class Still:
 
 @dataclass(frozen=True)
 class Viewer:
-    """The 3-D viewer's data, as JSON, and its picture where it cannot be."""
+    """The data of the 3-D viewer, and a picture for pages without it."""
 
     template: ClassVar[str] = "viewer"
     payload: Mapping[str, object] | None
@@ -186,7 +193,7 @@ class Viewer:
 
 @dataclass(frozen=True)
 class Scene:
-    """A drawing of what was computed, the same in words as (what, value), a sentence, and cut bodies."""
+    """A drawing of the scene, its words as (what, value), a note, and drawings of the bodies that models cut."""
 
     svg: Markup
     words: Sequence[tuple[str, str]]

@@ -1,4 +1,4 @@
-"""A run for other programs: tables and figures as CSV and SVG, surfaces with their answers as arrays."""
+"""Exports of a run for other programs: tables as CSV, figures as SVG, surfaces with answers as arrays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .section_scene import scene
 
 
 def mesh_names(cases: Sequence[CaseResult]) -> Iterator[tuple[str, CaseResult]]:
-    """A file for each case with a name that a person can read: its label, and its hash where labels are alike."""
+    """(file name, case): the file has the case's label as its name, and its hash too if labels are alike."""
     seen: set[str] = set()
     for case in cases:
         name = re.sub(r"[^A-Za-z0-9.=-]+", "_", case.label).strip("_.")[:80] or "case"
@@ -31,7 +31,7 @@ def mesh_names(cases: Sequence[CaseResult]) -> Iterator[tuple[str, CaseResult]]:
 
 
 def surface_fields(case: CaseResult) -> tuple[np.ndarray, Mapping[str, np.ndarray]]:
-    """Points (N, 3) and fields of a case at full load, lengths in the unit that `unit_of` tells."""
+    """Points (N, 3) and fields of a case at full load; lengths have the unit of `unit_of`."""
     step, metres = case.full_load, metres_per_unit(case)
     fields: dict[str, np.ndarray] = {}
     for name, model in case.models.items():
@@ -45,7 +45,7 @@ def surface_fields(case: CaseResult) -> tuple[np.ndarray, Mapping[str, np.ndarra
 
 
 def metres_per_unit(case: CaseResult) -> float:
-    """1 but for a body from a file: what its unit is in metres."""
+    """The unit of a case's mesh [m]: that of the file which it comes from, else 1."""
     return float(case.mesh_quality.get("scale", 1.0))
 
 
@@ -58,7 +58,7 @@ def unit_of(case: CaseResult) -> str:
 
 
 def exported(run: Run) -> Iterator[tuple[str, str]]:
-    """(name of a file, its text) of every table and every figure of a run's report."""
+    """(file name, text) of every table and every figure of a run's report."""
     digest = Digest(run)
     if drawn := scene(digest):
         yield "figures/scene.svg", standalone_svg(str(drawn.svg))
@@ -79,7 +79,7 @@ def _of_section(section: Section) -> Iterator[tuple[str, str]]:
 
 
 def table_csv(table: Table) -> str:
-    """The table with the full numbers, in the units of the head."""
+    """The table as CSV, with full numbers in the units of the head."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow([_head(column) for column in table.columns])
@@ -103,8 +103,8 @@ def _words(cell: Cell) -> str:
 
 
 def standalone_svg(svg: str) -> str:
-    """An SVG file of a drawing of the page, in the colours that the page has on paper."""
-    svg = re.sub(r' data-told="[^"]*"', "", svg)  # that is for the page's script
+    """A drawing of the page as an SVG file, in the colours of the printed page."""
+    svg = re.sub(r' data-told="[^"]*"', "", svg)  # only the page's script reads it
     svg = re.sub(r"var\(--([a-z0-9-]+)\)", lambda match: _colours()[match[1]], svg)
     width, height = svg.split('viewBox="', 1)[1].split('"', 1)[0].split()[2:]
     size = (
@@ -116,6 +116,6 @@ def standalone_svg(svg: str) -> str:
 
 @cache
 def _colours() -> dict[str, str]:
-    """Variable -> colour of the page on paper: those that stand first."""
+    """CSS variable -> colour of the printed page: the first one in the style sheet."""
     found = re.findall(r"--([a-z0-9-]+):\s*(#[0-9a-f]{3,6})", str(asset("page.css")))
     return dict(reversed(found))

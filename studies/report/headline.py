@@ -1,4 +1,4 @@
-"""The head of the page and of a terminal: a row a family, what to take, what each model is off by and costs."""
+"""The head of the page and of the terminal: verdicts, which model to take, errors and costs of each model."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ TONES = {"yes": "good", "no": "bad", "not judged": "muted"}
 
 
 def what_to_take(verdicts: Verdicts) -> Table | None:
-    """A row for each kind of interaction and model to take there."""
+    """A row for each kind of interaction, and for each model to take there."""
     rows: list[tuple[Advice, int, Figures | None]] = [
         (one, k, figures) for one in verdicts.take for k, figures in enumerate(one.take or (None,))
     ]
@@ -72,7 +72,7 @@ def what_to_take(verdicts: Verdicts) -> Table | None:
 
 
 def against_limits(verdicts: Verdicts, digest: Digest) -> Table | None:
-    """The models that decide: each limit in the worst case, up to which load it holds, why not."""
+    """The models that decide: each limit in the worst case, the load up to which they keep it, and the causes."""
     judged = [one for one in verdicts.asked if one.model]
     if not judged:
         return None
@@ -112,7 +112,7 @@ def _limit(limit: Limit) -> Cell:
 
 
 def headline(digest: Digest) -> Section | None:
-    """Every model with the measures that lead, and what it costs."""
+    """Every model with the leading errors, and its costs."""
     if not digest.cases:
         return None
     along_normals = any(math.isfinite(digest.floor(name)) for name in digest.models)
@@ -160,7 +160,7 @@ def _about(digest: Digest, name: str) -> str:
 
 
 def _drift(spread: Spread | None) -> Cell | None:
-    """The largest drift; of the reference's own, which is an estimate, with its bar."""
+    """The worst drift, with an error bar for the reference, whose drift is an estimate."""
     if spread is None:
         return None
     bar = f"± {percent(spread.worst_bar)}" if math.isfinite(spread.worst_bar) else ""
@@ -171,7 +171,7 @@ def _drift(spread: Spread | None) -> Cell | None:
 
 
 def summary(run: Run) -> dict[str, Any]:
-    """What is done, the numbers of every model, the verdicts: plain data, kept for a run that has nothing to do."""
+    """Which cases are done, the numbers of every model, and the verdicts, as plain data that the run keeps."""
     digest = digest_of(run)
     found = verdicts(digest)
     return {
@@ -182,12 +182,12 @@ def summary(run: Run) -> dict[str, Any]:
         "unanswered": digest.unanswered,
         "metrics": headline_metrics(run),
         "answers": told(found),
-        "table": terminal_rows(digest),  # of the terminal, which JSON does not show
+        "table": terminal_rows(digest),  # for the terminal; the JSON output leaves it out
     } | found.as_data()
 
 
 def terminal_rows(digest: Digest) -> list[dict[str, str]]:
-    """The rows of a table that fits 80 columns: a line a model, and one for the worst of several cases."""
+    """Rows of a table in 80 columns: a line for each model, and one for the worst of several cases."""
     rows: list[dict[str, str]] = []
     metrics = {"displacement": VECTOR, "change of shape": DEFORMATION} if digest.compared else {}
     for name, cost in digest.figures.items():
@@ -207,9 +207,9 @@ def terminal_rows(digest: Digest) -> list[dict[str, str]]:
 
 
 def headline_metrics(run: Run) -> dict[str, dict[str, dict[str, Any]]]:
-    """The numbers of the table: model -> measure -> value (median), worst, bars, unit, cases; None for none.
+    """Model -> measure -> median `value`, worst, error bars, unit and number of cases; None for unknown numbers.
 
-    Times have "measured" too: what stands beside them there.
+    Times also have "measured": the remarks beside them in the table.
     """
     digest = digest_of(run)
     units = {metric: unit for metric, (_, unit) in ERRORS.items()} | {DRIFT: "1"}

@@ -1,4 +1,4 @@
-"""The whole page: which sections, in which order, and how they become one offline HTML file."""
+"""The page: its sections in order, and how they become one offline HTML file."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ class PictureError(ValueError):
     """There is nothing to draw."""
 
 
-_NAME = re.compile(r"\b[a-z]+(?:-[a-z0-9:]+)+|\b[a-z_]+(?:\.[a-z0-9_]+)+")  # of a model or a key
+_NAME = re.compile(r"\b[a-z]+(?:-[a-z0-9:]+)+|\b[a-z_]+(?:\.[a-z0-9_]+)+")  # a model or a key
 _TEMPLATES = Path(__file__).parent / "templates"
 
 Make = Callable[[Digest], Section | None]
 
-# the order of the page; a section that has nothing to say returns None. What other files `section_NAME.py` have in
-# their SECTIONS comes before the APPENDIX
+# in the order of the page; a section without content returns None. SECTIONS of other files `section_NAME.py` come
+# between these and the APPENDIX
 SECTIONS: tuple[Make, ...] = (
     headline.headline,
     errors,
@@ -63,7 +63,7 @@ APPENDIX: tuple[Make, ...] = (case_table, failures, how_to_reproduce)
 
 
 def write_picture(run: Run, path: Path) -> None:
-    """Write a PNG of the first key case: the reference, the model that comes closest, and their difference.
+    """Write a PNG of the first key case: the focus model, the reference, and their difference.
 
     Raises
     ------
@@ -92,10 +92,10 @@ def write_report(run: Run, path: Path) -> None:
 
 
 def every_section(digest: Digest) -> list[Section]:
-    """All that has something to say."""
+    """All sections that have content."""
     others = load_all("vdmbench.report", "section_")
     added = [make for module in others for make in getattr(module, "SECTIONS", ())]
-    # overflow is no surprise in what a model that broke down left behind; its numbers are shown as not finite
+    # the numbers of a model that broke down may overflow; they are shown as not finite
     with np.errstate(all="ignore"):
         return [section for make in (*SECTIONS, *added, *APPENDIX) if (section := make(digest))]
 
@@ -128,7 +128,7 @@ def page_html(run: Run) -> str:
 
 
 def encoded(text: str) -> bytes:
-    """UTF-8; half a surrogate pair, which JSON can carry into a name, becomes a question mark."""
+    """UTF-8. A lone surrogate, which JSON allows in names, becomes a question mark."""
     return text.encode("utf-8", "replace")
 
 
@@ -138,7 +138,7 @@ def _scripts() -> list[Markup]:
 
 
 def _policy(scripts: list[Markup]) -> str:
-    """Nothing may be loaded; of the scripts only these may run."""
+    """Content security policy: the page loads nothing, and only these scripts run."""
     digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
     return f"default-src 'none'; style-src 'unsafe-inline'; script-src {allowed}; img-src data:"
@@ -162,7 +162,7 @@ def _environment() -> Environment:
 
 
 def unbroken(text: str) -> str:
-    """A number stays with its unit, a key with its value, a name in one piece: `levels = 2` on one line."""
+    """Text without line breaks between a number and its unit, in `key = value`, and inside names."""
     text = re.sub(r"(?<=\w) = (?=\S)", "\u00a0=\u00a0", text)
     text = re.sub(r"(?<=\d) (?=[^\W\d]|%)|(?<=±) ", "\u00a0", text)
     if not _NAME.search(text):
@@ -171,5 +171,5 @@ def unbroken(text: str) -> str:
 
 
 def asset(name: str) -> Markup:
-    """A script or style sheet of ours, as it is."""
+    """A script or style sheet of the templates, without escapes."""
     return Markup((_TEMPLATES / name).read_text(encoding="utf-8"))

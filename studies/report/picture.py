@@ -1,4 +1,4 @@
-"""Pictures without OpenGL: lit triangles as pixels by matplotlib's rasteriser, and stills of a case."""
+"""Pictures without OpenGL: matplotlib's rasteriser draws lit triangles; and stills of a case."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from solver_common.arrays import Array
 from ..verdict.formatting import scale_of
 
 ELEVATION = np.radians(22.0)
-FINER = 2  # drawn so many times as large, then averaged: smooth outlines
-AMBIENT = 0.5  # share of the light that comes from everywhere; the rest comes from above the viewer
+FINER = 2  # oversampling, for smooth outlines
+AMBIENT = 0.5  # share of ambient light; the rest comes from above the viewer
 _LIGHT = np.array([0.15, 0.6, 0.786])  # unit vector: right, up, towards the viewer
-_Renderer: Any = RendererAgg  # which matplotlib has no types of
+_Renderer: Any = RendererAgg  # matplotlib has no types for it
 
 
 def directions(azimuth: float, elevation: float = ELEVATION) -> Array:
@@ -45,10 +45,16 @@ def drawn(
     width: int,
     ambient: float = AMBIENT,
 ) -> np.ndarray:
-    """(height, width, 4) pixels of 0 to 255 of lit triangles on a transparent ground.
+    """(height, width, 4) pixels, 0 to 255, of lit triangles on a transparent ground.
 
-    `seen` are (N, 3) points along `directions`; what is drawn begins at `low` (2,), the lower left, and is as large
-    as `size` (2,); `colours` are (F, 3, 4) RGBA of the corners, between 0 and 1.
+    Parameters
+    ----------
+    seen : (N, 3) points in the axes of `directions` [m]
+    triangles : (F, 3), outward
+    colours : (F, 3, 4) RGBA at the corners, between 0 and 1
+    low, size : (2,) lower left corner and size of the drawing [m]
+    width : of the drawing [pixels]
+    ambient : share of ambient light
     """
     scale = width / size[0]
     height = max(1, round(scale * size[1]))
@@ -69,28 +75,28 @@ def drawn(
 
 COLOUR_MAPS = ("viridis", "inferno")  # of displacements, of differences
 _PANEL = 420  # pixels
-# of the labels: dots per inch, pixels of a line above and of the scale below a panel, letters of such a line
+# labels: dots per inch, height of a line above and of the scale below a panel [pixels], letters in such a line
 _DPI, _LINE, _SCALE, _LETTERS = 100, 20, 70, 55
-_MARGIN = 1.06  # of the body's extent, seen from the camera
+_MARGIN = 1.06  # size of a drawing over the body's extent, seen from the camera
 _SHAPES = (0.45, 1.1)  # least and largest height of a panel over its width
 _NO_METADATA: Any = {
     "png": {"Software": None},
     "svg": dict.fromkeys(("Date", "Creator", "Format", "Type")),
 }
-_QUICK = {"compress_type": zlib.Z_RLE}  # a third of the time of the usual for a fifteenth more bytes
+_QUICK = {"compress_type": zlib.Z_RLE}  # a third of the default's time, for a fifteenth more bytes
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One drawing: N nodes where they are drawn, and a value at each between 0 and 1."""
+    """One drawing: a surface with a value between 0 and 1 at each node."""
 
     points: np.ndarray  # (N, 3)
     triangles: np.ndarray  # (F, 3), outward
     values: np.ndarray  # (N,)
     colour_map: str
-    azimuth: float  # about z, from where it is seen [rad]
+    azimuth: float  # of the viewer, about z [rad]
     title: str = ""
-    top: float = 1.0  # what the value 1 stands for [m]
+    top: float = 1.0  # displacement that the value 1 stands for [m]
 
 
 def labelled(panels: Sequence[Panel], heading: Sequence[str] = ()) -> bytes:
@@ -99,10 +105,10 @@ def labelled(panels: Sequence[Panel], heading: Sequence[str] = ()) -> bytes:
 
 
 def written(figure: Figure, kind: str, **how: Any) -> bytes:
-    """A figure as a file: of the same figure the same bytes."""
+    """A figure as a file; the same figure gives the same bytes."""
     out = io.BytesIO()
     with warnings.catch_warnings():
-        # a letter that the font lacks is drawn as a box, in an SVG by the browser
+        # a letter that the font lacks becomes a box; in an SVG the browser draws it
         warnings.filterwarnings("ignore", "Glyph .* missing")
         figure.savefig(out, format=kind, metadata=_NO_METADATA[kind], **how)
     return out.getvalue()
@@ -128,7 +134,7 @@ def _figure(panels: Sequence[Panel], heading: Sequence[str]) -> Figure:
 
 
 def _drawings(panels: Sequence[Panel]) -> list[np.ndarray]:
-    """(height, width, 4) pixels of each panel, all to one scale."""
+    """(height, width, 4) pixels of each panel, all at one scale."""
     everything = np.concatenate([panel.points for panel in panels])
     axes = directions(panels[0].azimuth)
     low, high = (f(everything @ axes.T, axis=0)[:2] for f in (np.min, np.max))

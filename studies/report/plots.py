@@ -1,4 +1,4 @@
-"""The charts: panels drawn with matplotlib, as inline SVG that takes its colours and fonts from the page."""
+"""The charts, drawn with matplotlib, as inline SVG that takes colours and fonts from the page."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from ..verdict.palette import COLOURS
 from .blocks import Figure
 from .picture import written
 
-ID = "\ue001"  # how the id of a curve begins whose words the page's script shows; no name has this letter
-# drawn in these, shown in the page's
+ID = "\ue001"  # first letter of the ids of curves whose points the page's script describes; no name has it
+# placeholder colours: `svg_of` replaces them by the page's
 INK, GRID, REFERENCE_COLOUR = "#010203", "#020304", "#030405"
 MODELS = tuple(f"#0405{k:02x}" for k in range(COLOURS))
 # the markers of the charts, o s ^ D v P X, in a box of 14 by 10 around (7, 5)
@@ -75,17 +75,17 @@ STYLE: Any = {
 
 
 def svg_of(figure: Canvas, alt: str, salt: str, told: Sequence[Sequence[str]] = ()) -> Markup:
-    """A figure, drawn inside `rc_context(STYLE)`, as an <svg> element with the page's colours, sized by CSS.
+    """A figure, drawn inside `rc_context(STYLE)`, as an <svg> element with the page's colours; CSS sets its size.
 
     Parameters
     ----------
     alt : what it shows, in words
-    salt : makes its ids unlike those of all other drawings of a page
-    told : of each curve the words of its points, which the page's script shows
+    salt : makes its ids unique on the page
+    told : for each curve the words of its points, which the page's script shows
     """
     with rc_context({"svg.hashsalt": salt}):
         svg = written(figure, "svg", transparent=True).decode()
-    # bare lines first: of patterns that begin with white space each takes as long as all of these together
+    # strip lines first: each pattern that begins with white space would take as long as all of these together
     svg = "\n".join(filter(None, map(str.strip, svg[svg.index("<svg") :].split("\n"))))
     head, svg = svg.split(">", 1)
     box = head.split('viewBox="')[1].split('"')[0]
@@ -98,7 +98,7 @@ def svg_of(figure: Canvas, alt: str, salt: str, told: Sequence[Sequence[str]] = 
         svg = svg.replace(code, variable)
     svg = re.sub(r"\n<style.*?</style>", "", svg, flags=re.S)
     svg = re.sub(r" font-family: [^;\"]+;?", "", svg)
-    svg = _TAG.sub(lambda tag: _BEYOND_HUNDREDTHS.sub("", tag[0]), svg)  # not in its texts
+    svg = _TAG.sub(lambda tag: _BEYOND_HUNDREDTHS.sub("", tag[0]), svg)  # in tags only, not in texts
     svg = re.sub(r' transform="rotate\(-0 [^"]*"', "", svg)
     for k, words in enumerate(told):
         svg = svg.replace(f'id="{ID}{k}"', f'data-told="{escape(json.dumps(words))}"')
@@ -110,33 +110,33 @@ _BEYOND_HUNDREDTHS = re.compile(r"(?<=\d\.\d\d)\d+")
 
 
 _MOST_TICKS = 16
-_MOST_NAMED = 8  # curves of a chart that are named beside; the legend has all
-_LETTER, _HIGH, _GAP = 4.5, 8.5, 4.0  # points: of a name, and how far it is from its point
-_MOST_MARKED = 25  # points of a line
+_MOST_NAMED = 8  # most curves with names beside them; the legend always has all
+_LETTER, _HIGH, _GAP = 4.5, 8.5, 4.0  # width of a letter, height of a name, distance from its curve [points]
+_MOST_MARKED = 25  # most points of a line with markers
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 LINES = ("-", "--", "-.", ":")
-_WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: as wide as a phone, so that text stays readable there
-_ROW = 0.19  # inches: height of a row of the legend, which is below
-# the same for all plots, so that their axes line up on the page; room for a label and ticks of eight characters
+_WIDTH, _HEIGHT = 4.4, 3.0  # inches of 72 points: the width of a phone, so that text stays readable there
+_ROW = 0.19  # height of a row of the legend below the axes [inches]
+# equal for all plots, so that their axes line up on the page; with room for a label and ticks of eight characters
 _MARGINS = {"left": 0.19, "right": 0.97, "bottom": 0.155, "top": 0.98}
-_LABELS = 0.045, 0.066  # how far the axes' labels are from the left and from the bottom
+_LABELS = 0.045, 0.066  # distance of the axes' labels from the left and from the bottom, as shares
 _BOTTOM_FOR_SLANTED_NAMES = 0.34
 
 
 def colour(model: int) -> str:
-    """Colour of a model by its place in the palette; the reference is `REFERENCE`."""
+    """Colour of a model, from its place in the palette; the reference has the place `REFERENCE`."""
     return REFERENCE_COLOUR if model == REFERENCE else MODELS[model % COLOURS]
 
 
 def shape(model: int) -> int:
-    """Which of the markers a model has."""
+    """Index of a model's marker, from its place in the palette."""
     return (model + model // COLOURS) % len(MARKERS)
 
 
 def look(model: int) -> dict[str, str]:
-    """Colour, marker and line of a model: markers differ where colours may not be told apart, or are shared.
+    """Colour, marker and line style of a model, from its place in the palette.
 
-    A line is solid for as long as the palette lasts.
+    Markers tell colours apart for colour-blind readers. Lines are broken only if a colour is used again.
     """
     again = max(model, 0) // COLOURS
     return {
@@ -147,16 +147,23 @@ def look(model: int) -> dict[str, str]:
 
 
 def shortened(text: str, most: int = 22) -> str:
-    """A name from a study file as a label: one line, no control characters, not too long."""
+    """A name from a study file as a label: printable characters, at most `most` of them."""
     text = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
 @dataclass(frozen=True)
 class Curve:
-    """The points of one model: (K,) x and y, the case of each where they have one, further looks of the line.
+    """The points of one model in a chart.
 
-    `band` has the least and the largest (K,) y of what a point stands for: a band, or whiskers where no line joins.
+    Attributes
+    ----------
+    model : name of the model
+    x, y : (K,) coordinates
+    cases : (K,) index of each point's case; None if a point stands for several
+    look : further properties of the line
+    band : least and largest (K,) y of the values that a point stands for; drawn as a band, or as whiskers without a
+    line
     """
 
     model: str
@@ -168,12 +175,12 @@ class Curve:
 
     @property
     def joined(self) -> bool:
-        """Whether a line joins its points."""
+        """Whether a line joins the points."""
         return self.look.get("linestyle") != "none"
 
     @property
     def every(self) -> int:
-        """Of its points every how manieth is marked."""
+        """Distance of marked points: every `every`-th point has a marker."""
         return max(1, math.ceil(np.size(self.x) / _MOST_MARKED)) if self.joined else 1
 
 
@@ -187,14 +194,13 @@ def lines(
     *,
     finish: Callable[[Axes], object] = lambda _: None,
 ) -> Figure:
-    """A chart of a curve a model, which says in words from where to where each goes.
-
-    A unit in brackets at the end of a label stands beside the numbers of its axis.
+    """A chart with one curve for each model; its description has the first and the last point of each curve.
 
     Parameters
     ----------
-    salt : makes the ids of the drawing its own on a page
-    finish : sets scales and adds what is no model's; called when all curves are drawn
+    x_label, y_label : labels of the axes; a unit in brackets at the end is also written beside numbers in words
+    salt : makes the ids of the drawing unique on the page
+    finish : sets scales and adds further lines, after all curves are drawn
     """
     with rc_context(STYLE):
         page = Canvas(figsize=(_WIDTH, _HEIGHT))
@@ -225,26 +231,26 @@ def _draw(axes: Axes, digest: Digest, curve: Curve, gid: str) -> None:
 
 
 def _words(axes: Axes, digest: Digest, curve: Curve) -> list[str]:
-    """Of each point that is marked: whose it is, its case, and where it is."""
+    """The words of each marked point: its model, its case and its coordinates."""
     cases = [digest.case_name(digest.cases[k]) for k in curve.cases or ()]
     marked = range(0, np.size(curve.x), curve.every)
     return ["\n".join([curve.model, *cases[k : k + 1], _place(axes, curve, k)]) for k in marked]
 
 
 def _ends(axes: Axes, curve: Curve) -> str:
-    """From where to where a curve goes, in words."""
+    """The first and the last point of a curve, in words."""
     ends = dict.fromkeys(_place(axes, curve, k) for k in (0, -1))
     return f"{'from ' if len(ends) > 1 else ''}{' to '.join(ends)}"
 
 
 def _place(axes: Axes, curve: Curve, k: int) -> str:
-    """`10 % at 0.45`."""
+    """A point of a curve in words: `10 % at 0.45`."""
     values = (axes.yaxis, np.asarray(curve.y)[k]), (axes.xaxis, np.asarray(curve.x)[k])
     return " at ".join(filter(None, (_on_axis(axis, float(value)) for axis, value in values)))
 
 
 def _on_axis(axis: Axis, value: float) -> str:
-    """A value as its axis writes it, with the unit of its label; nothing on an axis of names."""
+    """A value in the format of its axis, with the unit of the axis' label; "" on an axis of names."""
     formatter = axis.get_major_formatter()
     if isinstance(formatter, FixedFormatter):
         return ""
@@ -254,14 +260,14 @@ def _on_axis(axis: Axis, value: float) -> str:
 
 
 def _legend_below(page: Canvas, axes: Axes) -> None:
-    """The names of all curves below the axes, which stay as large as they are."""
+    """Add a legend below the axes, and enlarge the page so that the axes keep their size."""
     handles, names = axes.get_legend_handles_labels()
     below, now = _ROW * -(-len(names) // 2), page.subplotpars
     whole = _HEIGHT + below
     bottom, top = ((below + _HEIGHT * share) / whole for share in (now.bottom, now.top))
     page.set_size_inches(_WIDTH, whole)
     page.subplots_adjust(bottom=bottom, top=top)
-    # labels at the margins, where those of all charts line up
+    # axis labels at fixed distances from the margins, so that those of all charts line up
     down = (below + _LABELS[1] * _HEIGHT) / whole
     axes.xaxis.set_label_coords(0.5, down, blended_transform_factory(axes.transAxes, page.transFigure))
     axes.yaxis.set_label_coords(_LABELS[0], 0.5, blended_transform_factory(page.transFigure, axes.transAxes))
@@ -270,7 +276,7 @@ def _legend_below(page: Canvas, axes: Axes) -> None:
 
 
 def level_line(axes: Axes, at: float, name: str, style: str, axis: str = "y") -> None:
-    """A line across the chart at a value of one axis, named; none at one that is not positive or not known."""
+    """A named line across the chart at a value of one axis; none if the value is NaN or not positive."""
     if at > 0.0:
         looks: Any = {"va": "bottom", "ha": "right", "fontsize": 7.0, "color": colour(REFERENCE)}
         if axis == "y":
@@ -283,13 +289,13 @@ def level_line(axes: Axes, at: float, name: str, style: str, axis: str = "y") ->
 
 
 def from_origin(axes: Axes) -> None:
-    """Both axes begin at zero, or below where curves do."""
+    """Both axes begin at zero, or below if curves do."""
     axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
 
 
 def percent_axis(axes: Axes, values: ArrayLike) -> None:
-    """The y axis shows ratios as percentages: from zero, or by decades where they span more than one."""
+    """The y axis shows ratios as percentages: linear from zero, or logarithmic if they span more than a decade."""
     ratios = np.asarray(values, dtype=np.float64)
     finite = ratios[np.isfinite(ratios)]
     if len(finite) and finite.min() > 0 and finite.max() > 10 * finite.min():
@@ -310,7 +316,7 @@ def time_axis(axes: Axes) -> None:
 
 
 def log_axis(axes: Axes, which: str) -> None:
-    """Decades without minor clutter; steps between where there are fewer than three."""
+    """A logarithmic axis with ticks at decades, and between them if there are fewer than three decades."""
     axes.set(**{f"{which}scale": "log"})
     axis = axes.xaxis if which == "x" else axes.yaxis
     low, high = axis.get_view_interval()
@@ -321,9 +327,9 @@ def log_axis(axes: Axes, which: str) -> None:
 
 
 def place(values: Sequence[float]) -> tuple[str, dict[float, float]]:
-    """How to lay out a parameter's values on an axis: ("linear" | "log" | "even", value -> position).
+    """The layout of a parameter's values on an axis: ("linear" | "log" | "even", value -> position).
 
-    Evenly where neither scale would keep neighbours apart, as for Poisson ratios that close in on 1/2.
+    Values are evenly spaced if neither scale keeps neighbours apart, as for Poisson's ratios that approach 1/2.
     """
     distinct = sorted(set(values))
     as_is = {value: value for value in distinct}
@@ -342,7 +348,7 @@ def _spacing(values: Array) -> float:
 
 
 def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
-    """Named ticks (position, name) on the x axis: thinned where there are many, slanted where they collide."""
+    """Named ticks (position, name) on the x axis: thinned if there are many, slanted if they would collide."""
     ticks = ticks[:: max(1, -(-len(ticks) // _MOST_TICKS))]
     names = [shortened(name, 16) for _, name in ticks]
     axes.xaxis.set_major_locator(FixedLocator([x for x, _ in ticks]))
@@ -359,7 +365,7 @@ def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
 
 
 def name_curves(axes: Axes) -> None:
-    """Write the names of joined curves above or below their last points, where nothing else is drawn."""
+    """Write the names of curves above or below their last points, if nothing else is drawn there."""
     named = [curve for curve in axes.lines if not str(curve.get_label()).startswith("_")]
     curves = [curve for curve in named if curve.get_linestyle() != "None"]
     if not 1 < len(curves) <= _MOST_NAMED:
@@ -370,7 +376,7 @@ def name_curves(axes: Axes) -> None:
         axes.get_window_extent(),
         np.concatenate([_drawn(curve, between=True) for curve in axes.lines]),
     )
-    taken: list[Bbox] = [text.get_window_extent() for text in axes.texts]  # the names of level lines
+    taken: list[Bbox] = [text.get_window_extent() for text in axes.texts]  # names of level lines
     for curve in curves:
         own = _drawn(curve, between=False)
         if not len(own):
@@ -391,7 +397,7 @@ def name_curves(axes: Axes) -> None:
 
 
 def _drawn(curve: Line2D, *, between: bool) -> Array:
-    """(K, 2) pixels of a curve's points and, where a line joins them, of places between."""
+    """(K, 2) pixels of a curve's points; with `between`, also of places on the line that joins them."""
     path = curve.get_transform().transform_path(curve.get_path())
     if between and curve.get_linestyle() != "None" and len(path) > 1:
         path = path.interpolated(20)

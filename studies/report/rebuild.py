@@ -1,4 +1,4 @@
-"""Table and report of a run directory, from what is stored there alone."""
+"""Writes the table and the report of a run directory from the stored results alone."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ..verdict.digest import digest_of
 def rebuild(directory: Path) -> tuple[Run, Path]:
     """Write the table and the report from the stored results alone; returns the run and the report's path."""
     from .headline import summary
-    from .page import write_report  # plotting is slow to load, and who only plans draws nothing
+    from .page import write_report  # slow to load, and a plan does not draw
 
-    read_plan(directory)  # nothing is left in a directory that is none of ours
+    read_plan(directory)  # raises before anything is written to a directory that is no run's
     report = directory / REPORT
-    with lock(directory / ".lock-report", wait=True):  # the last of several shards sees all
+    with lock(directory / ".lock-report", wait=True):  # the last of several shards reads all results
         run = read_run(directory, damaged=True)
         write_metrics(directory, digest_of(run).table)
         write_report(run, report)

@@ -1,6 +1,6 @@
-"""A scene before it is solved, as one drawing: the body, what holds, presses and moves it, with arrows and a scale.
+"""A drawing of a scene: the body with its supports, contacts and loads, with arrows and a scale bar.
 
-Arrays in, a picture out: for the page of a run and for a scene that nobody has solved yet.
+It needs arrays only, so it serves the page of a run and scenes that are not solved yet.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..verdict.formatting import plain, round_below, scale_of
 from .picture import directions, drawn, written
 from .plots import INK, STYLE, shortened, svg_of
 
-# kind of a constraint -> (what it is called, colour); told apart by colour-blind readers, on light and dark ground
+# kind of a constraint -> (its name, colour); safe for colour-blind readers, on light and dark ground
 KINDS = {
     "fixed": ("support", "#4477aa"),
     "contact": ("contact", "#ee6677"),
@@ -38,56 +38,53 @@ KINDS = {
     "indenter": ("indenter", "#ee7733"),
 }
 PART = "part"
-# of parts of a cut body, in turn: a black number is read on each (Paul Tol, Colour schemes, "light")
+# colours of the parts of a cut body, in turn, readable under a black number (Paul Tol, Colour schemes, "light")
 PARTS = ("#77aadd", "#ee8866", "#eedd88", "#ffaabb", "#99ddff", "#44bb99", "#bbcc33", "#aaaa00")
-INSIDE = "#5b3a8c"  # what is drawn through the body
-OTHER = "#666666"  # of a kind that has no colour of its own
-_ARROWS = {"contact": "#c42842", "constrained": "#8a7410"}  # their arrows, seen on body and ground
-BODY, _AMBIENT = "#cfd3d6", 0.72  # bright all round: the colours have a meaning
+INSIDE = "#5b3a8c"  # outlines inside the body
+OTHER = "#666666"  # kinds that have no colour of their own
+_ARROWS = {"contact": "#c42842", "constrained": "#8a7410"}  # darker, to be visible on body and ground
+BODY, _AMBIENT = "#cfd3d6", 0.72  # much ambient light, so that shading does not change the colours
 _PIXELS = 560  # width of the body's drawing
-_WIDTH, _MOST_HEIGHT = 4.4, 3.6  # inches: as wide as a chart
-_LINE = 0.17  # inches, height of a line of text
-_ARROW = 0.2  # length over the body's size
-_FOOT = 0.62  # inches, height of the strip with the scale bar and the axes
-_LETTERS = 70  # of a line of words
+_WIDTH, _MOST_HEIGHT = 4.4, 3.6  # size of the drawing [inches]: as wide as a chart
+_LINE = 0.17  # height of a line of text [inches]
+_ARROW = 0.2  # length of an arrow over the body's size
+_FOOT = 0.62  # height of the strip with scale bar and axes [inches]
+_LETTERS = 70  # letters in a line of words
 _ELEVATIONS = tuple(np.radians([22.0, 10.0]))
 _AZIMUTHS = tuple(np.radians(np.arange(-57.0, 303.0, 15.0)))
-_CLEARLY = 1.03  # times as much
+_CLEARLY = 1.03  # factor by which a later camera must show more
 
 
 @dataclass(frozen=True)
 class Part:
-    """A region of N nodes with what acts on it.
-
-    `kind` is that of a constraint: "fixed", "contact" or "constrained"; or PART of a body that a model cuts, whose
-    `number` stands on it. `vector` (3,) is the resultant force on the body [N] or the displacement [m]; the arrow
-    has its direction, not its size. `label` stands at the arrow.
-    """
+    """A region of the body and the load or support on it."""
 
     name: str
-    kind: str
+    kind: str  # of a constraint: a key of KINDS; or PART, for a part of a body that a model cut
     nodes: np.ndarray  # (N,) mask
-    vector: np.ndarray | None = None
-    label: str = ""
-    number: int = 0
+    vector: np.ndarray | None = (
+        None  # (3,) force on the body or displacement; gives the direction of an arrow
+    )
+    label: str = ""  # beside the arrow
+    number: int = 0  # on a PART
 
     @property
     def called(self) -> str:
-        """What its kind is called."""
+        """The name of its kind."""
         return f"{PART} {self.number}" if self.kind == PART else style_of(self.kind)[0]
 
     @property
     def colour(self) -> str:
-        """That of its kind, or of its number."""
+        """The colour of its kind, or of its number."""
         return PARTS[(self.number - 1) % len(PARTS)] if self.kind == PART else style_of(self.kind)[1]
 
 
 @dataclass(frozen=True)
 class Outline:
-    """Something inside the body: its name and the lines (E, 2, 3) that show where it is [m]."""
+    """The outline of something inside the body."""
 
     name: str
-    segments: np.ndarray
+    segments: np.ndarray  # (E, 2, 3) end points of lines [m]
 
 
 class Stage:
@@ -96,9 +93,9 @@ class Stage:
     Parameters
     ----------
     points : (N, 3) [m]
-    triangles : (F, 3), facing outwards
-    parts : regions with what acts on them
-    outlines : what is inside the body
+    triangles : (F, 3), outward
+    parts : regions with loads or supports
+    outlines : outlines of what is inside the body
     """
 
     def __init__(
@@ -117,28 +114,28 @@ class Stage:
 
     @cached_property
     def area_vectors(self) -> Array:
-        """(F, 3) outward, as long as the facet is large [m^2]."""
+        """(F, 3) outward area vectors of the facets [m^2]."""
         return facet_area_vectors(self.points, self.triangles)
 
     def facets(self, part: Part) -> np.ndarray:
-        """(F,) mask of the facets that lie in a part with all three nodes."""
+        """(F,) mask of the facets with all three nodes in a part."""
         return np.asarray(part.nodes)[self.triangles].all(axis=1)
 
     def _arrows(self, part: Part) -> list[tuple[Array, Array, Part]]:
-        """(tail, tip, part) of an arrow outside the body, which ends on the surface or starts there."""
+        """(tail, tip, part) of a part's arrow, which lies outside the body and ends or starts on its surface."""
         nodes = np.asarray(part.nodes)
         if part.vector is None or not nodes.any() or not np.any(part.vector):
             return []
         along = _ARROW * self.size * np.asarray(part.vector) / np.linalg.norm(part.vector)
         centre = self.points[nodes].mean(axis=0)
         inward = -self.area_vectors[self.facets(part)].sum(axis=0)
-        # of the part's nodes the one where its middle meets the surface
+        # the part's node nearest to its centroid
         node = self.points[nodes][np.argmin(np.linalg.norm(self.points[nodes] - centre, axis=1))]
         tail, tip = (node - along, node) if inward @ along > 0 else (node, node + along)
         return [(tail, tip, part)]
 
     def _camera(self) -> tuple[float, float]:
-        """Azimuth and elevation [rad] of the camera: a later one is taken where it shows clearly more."""
+        """Azimuth and elevation [rad] of the camera that shows most; a later one must show `_CLEARLY` more."""
         best, most = (_AZIMUTHS[0], _ELEVATIONS[0]), -1.0
         for camera in ((azimuth, elevation) for elevation in _ELEVATIONS for azimuth in _AZIMUTHS):
             shown = self._shown(directions(*camera))
@@ -147,7 +144,7 @@ class Stage:
         return float(best[0]), float(best[1])
 
     def _shown(self, camera: Array) -> float:
-        """How much a camera shows: root of the share of each part that faces it, and the arrows' lengths."""
+        """How much a camera shows: roots of each part's visible share, and lengths of arrows, summed."""
         faces = np.clip(self.area_vectors @ camera[2], 0.0, None)
         areas = np.linalg.norm(self.area_vectors, axis=1)
         shown = 0.0
@@ -159,7 +156,7 @@ class Stage:
         return shown + float(sum(lengths)) / _ARROW
 
     def outline(self, part: Part) -> tuple[Array, np.ndarray]:
-        """(E, 2, 2) edges around a part's facets, as drawn, and (E,) whether they face the viewer."""
+        """(E, 2, 2) drawn edges around a part's facets, and (E,) whether they face the viewer."""
         edges = np.sort(half_edges(self.triangles[self.facets(part)]), axis=1)
         pairs, times = np.unique(edges, axis=0, return_counts=True)
         rim, normals = pairs[times == 1], nodal_sum(self.area_vectors, self.triangles, len(self.points))
@@ -167,14 +164,14 @@ class Stage:
         return self.seen[rim][:, :, :2], facing
 
     def lone(self, part: Part) -> np.ndarray:
-        """(N,) mask of a part's nodes that no whole facet of it shows."""
+        """(N,) mask of a part's nodes that are in none of its facets."""
         lone = np.array(part.nodes, dtype=bool)
         lone[self.triangles[self.facets(part)].ravel()] = False
         return lone
 
     @cached_property
     def frame(self) -> tuple[Array, Array]:
-        """Lower left and upper right corner of the drawing, (2,) and (2,): body, arrows and a margin [m]."""
+        """Lower left (2,) and upper right (2,) corner of the drawing: body, arrows and a margin [m]."""
         ends = [end @ self.axes.T for tail, tip, _ in self.arrows for end in (tail, tip)]
         everything = np.concatenate([self.seen, *(end[None] for end in ends)])[:, :2]
         margin = 0.04 * self.size
@@ -188,16 +185,15 @@ def scene_png(stage: Stage, lines: Sequence[str] = (), *, title: str = "", dpi: 
 
 
 def scene_svg(stage: Stage, *, alt: str, salt: str, title: str = "") -> Markup:
-    """`scene_figure` as an <svg> element in the colours of the page; `alt` tells it in words."""
+    """`scene_figure` as an <svg> element in the colours of the page; `alt` describes it in words."""
     with rc_context(STYLE):
         return svg_of(scene_figure(stage, title=title), alt, salt)
 
 
 def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Figure:
-    """The scene with `lines` of words below, to be drawn inside `rc_context(STYLE)`.
+    """The scene with `lines` of words below; call it inside `rc_context(STYLE)`.
 
-    Nodes of a part that are in none of its whole facets show as dots. What lies on the far side has a dotted
-    outline.
+    Dots show nodes of a part that are in none of its facets. Outlines on the far side are dotted.
     """
     words = [row for line in lines for row in wrap(line, _LETTERS)]
     rows = -(-(len(stage.parts) + len(stage.outlines)) // 2)
@@ -245,7 +241,7 @@ def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Fi
 
 
 def style_of(kind: str) -> tuple[str, str]:
-    """What a kind of constraint is called, and its colour."""
+    """The name and the colour of a kind of constraint."""
     return KINDS.get(kind, (kind, OTHER))
 
 
@@ -306,7 +302,7 @@ def _arrow(axes: Axes, start: Array, end: Array, style: str, width: float, colou
 
 
 def _draw_scale(foot: Axes, metres: float) -> None:
-    """A bar of a round length near an inch; `metres` are in an inch of the drawing."""
+    """A scale bar of a round length, near an inch; an inch of the drawing stands for `metres`."""
     length = round_below(metres)
     factor, unit = scale_of("m", [length])
     left, base = 0.15, 0.14
@@ -315,7 +311,7 @@ def _draw_scale(foot: Axes, metres: float) -> None:
 
 
 def _draw_triad(foot: Axes, camera: Array) -> None:
-    """The directions of x, y and z at the right; the one that points away from the viewer most is drawn first."""
+    """The directions of x, y and z at the right, from the farthest to the nearest to the viewer."""
     origin, size = np.array([_WIDTH - 0.55, 0.2]), 0.3
     for k in np.argsort(camera[2], kind="stable"):
         ahead = size * camera[:2, k]

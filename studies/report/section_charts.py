@@ -1,4 +1,4 @@
-"""Errors against swept parameters and load, force against indentation, run time against error: the charts."""
+"""The charts: errors against swept parameters and load, force against indentation, run time against error."""
 
 from __future__ import annotations
 
@@ -38,28 +38,30 @@ if TYPE_CHECKING:
 
 MESH_SIZE = "geometry.mesh_size"
 QUANTITIES = {VECTOR: "Displacement error", DEFORMATION: "Error in change of shape"}
-_DRIFT_FLOOR = 1e-16  # below what double precision can tell from zero
-_FLAT = 5e-4  # of an error: the page prints three digits. A turn that is taken out leaves 2e-6 of quickstart
-_MOST_JOINED = 12  # values of a parameter that a line through medians joins
-_MOST_POINTS = 240  # of a curve that is none; beyond, every k-th value is drawn
-_ASIDE = 0.05  # between two models at a name, where neighbours are 1 apart
+_DRIFT_FLOOR = 1e-16  # smaller drifts are zero in double precision
+_FLAT = (
+    5e-4  # relative change of an error that three printed digits do not show; a removed rotation leaves 2e-6
+)
+_MOST_JOINED = 12  # most values of a parameter with a line through the medians
+_MOST_POINTS = 240  # most points without a line; beyond, every k-th value is drawn
+_ASIDE = 0.05  # distance of two models on an axis of names, on which neighbours are 1 apart
 
 
 @dataclass(frozen=True)
 class _Axis:
-    """What varies, laid out on an x axis: its column in the frame, and where each value is."""
+    """A quantity that varies, laid out on an x axis: its column in the frame, and the position of each value."""
 
     key: str
     name: str
     label: str
     kind: str  # "linear", "log", "even" (numbers, evenly spaced) or "names"
     at: Mapping[float | str, float]
-    ticks: Sequence[tuple[float, str]] = ()  # of an even axis or one of names
+    ticks: Sequence[tuple[float, str]] = ()  # for the kinds "even" and "names"
     joined: bool = True  # whether a line between values means something
 
 
 def errors(digest: Digest) -> Section | None:
-    """Two charts for each swept parameter, and for the load where there are steps of it."""
+    """Two charts for each swept parameter, and for the load if there are several steps."""
     blocks: list[Block] = []
     flat, orders, strides = [], list[str](), {}
     for k, (axis, rows, others) in enumerate(_varied(digest) if digest.compared else ()):
@@ -76,7 +78,7 @@ def errors(digest: Digest) -> Section | None:
 
 
 def _varied(digest: Digest) -> Iterator[tuple[_Axis, DataFrame, list[str]]]:
-    """What varies, the errors of the models that are compared, and what else they may depend on."""
+    """Each quantity that varies, with the errors of the compared models, and what else these may depend on."""
     table, keys = digest.table, digest.swept_keys
     rows = table[table["metric"].isin(list(QUANTITIES)) & table["model"].isin(digest.compared)]
     for key in keys:
@@ -88,7 +90,7 @@ def _varied(digest: Digest) -> Iterator[tuple[_Axis, DataFrame, list[str]]]:
 
 
 def volume_drift(digest: Digest) -> Section | None:
-    """Size of the volume drift of every model, the reference too, against the load, where there are steps of it."""
+    """Absolute volume drift of every model, and of the reference, against the load, if there are several steps."""
     rows = digest.table[(digest.table["metric"] == DRIFT) & (digest.table["load_factor"] != 0.0)]
     rows = rows.assign(value=rows["value"].abs().clip(lower=_DRIFT_FLOOR), bar=math.nan)
     figures = _charts(digest, rows, _load_axis(rows), "v", {DRIFT: "Volume drift"})
@@ -101,7 +103,7 @@ def _load_axis(rows: DataFrame) -> _Axis:
 
 
 def _orders(digest: Digest, rows: DataFrame) -> list[str]:
-    """The slope of each model's median error against the mesh size, both logarithmic; none of one size."""
+    """The order of each model: the slope of log median error over log mesh size; none for a single size."""
     found = []
     for model in digest.compared:
         mine = rows[(rows["model"] == model) & (rows["metric"] == VECTOR) & (rows["value"] > 0.0)]
@@ -112,7 +114,7 @@ def _orders(digest: Digest, rows: DataFrame) -> list[str]:
 
 
 def _is_flat(rows: DataFrame, others: Sequence[str]) -> bool:
-    """Whether all rows that are alike in `others` have the same error, of every model, to rounding."""
+    """Whether rows with equal `others` have equal errors, up to printed digits, for every model."""
     groups = rows.groupby(["model", "metric", *others], observed=True, dropna=False)["value"]
     found = groups.agg(["min", "max", "count", "size"])
     found = found[(found["size"] > 1) & (found["count"] > 0)]
@@ -147,7 +149,7 @@ def _stride(axis: _Axis) -> int:
 def _charts(
     digest: Digest, rows: DataFrame, axis: _Axis, salt: str, titles: Mapping[str, str] = QUANTITIES
 ) -> list[Figure]:
-    """A chart of each metric, all on one scale; none where there is one place on the axis alone."""
+    """A chart of each metric, all on one scale; none if all points have the same x."""
     rows = rows[np.isfinite(rows["value"])]
     rows = rows.assign(x=rows[axis.key].map(axis.at), number=rows["case"].map(digest.place))
     heights = [*rows["value"], *rows["bar"], *map(digest.allowed, titles)]
@@ -204,7 +206,7 @@ def _chart(
     return lines(digest, curves, axis.label, title, f"{title} against {axis.name}", salt, finish=finish)
 
 
-# kind of a constraint -> what its depth and its force are called
+# kind of a constraint -> names of its depth and its force
 _KINDS = {
     "contact": ("indentation", "contact force"),
     "indenter": ("depth", "indenter force"),
@@ -213,7 +215,7 @@ _KINDS = {
 
 
 def force_against_indentation(digest: Digest) -> Section | None:
-    """How stiff the body feels where the case that the page looks at first is pushed, if it has a load history."""
+    """Force against indentation in the first key case, if that has a load history."""
     role, case = digest.key_cases[0] if digest.cases else ("", None)
     if case is None or len(case.load_factors) == 1:
         return None
@@ -241,7 +243,7 @@ def force_against_indentation(digest: Digest) -> Section | None:
 def _force_chart(
     digest: Digest, case: CaseResult, pushed: Pushed, known: Mapping[str, Array], place: str, salt: str
 ) -> Figure:
-    """`known` has (2, K) depths [m] and forces [N], or pressures [Pa], of the models that tell them."""
+    """`known`: model -> (2, K) depths [m] and forces [N], or pressures [Pa]."""
     depth, force = _KINDS[pushed.constraint.kind]
     force = "contact pressure" if pushed.unit == "Pa" else force
     every = np.concatenate(list(known.values()), axis=1)
@@ -257,11 +259,11 @@ def _force_chart(
 BUDGETS = {
     "haptic device, 1 ms": 1e-3,
     "screen, 16.7 ms": 1.0 / 60.0,
-}  # what asks for a frame, and its time [s]
+}  # device -> time that it leaves for a frame [s]
 
 
 def run_time_against_error(digest: Digest) -> Section | None:
-    """Time of a frame against the median error at full load: a mark a mesh, joined where there are several."""
+    """Time of a frame against the median error at full load: a point for each mesh, joined by lines."""
     meshes: dict[int, list[CaseResult]] = {}  # cases on one mesh share its surface
     for case in digest.cases:
         meshes.setdefault(id(digest.surfaces[case.hash]), []).append(case)

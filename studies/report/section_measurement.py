@@ -1,4 +1,4 @@
-"""Models against a measurement, and what is not known of the inputs, each beside the errors."""
+"""Models against a measurement, and the effect of uncertain inputs."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from ..verdict.formatting import (
 from .blocks import Block, Cell, Field, Figure, Figures, Section, Table, frame_table, note
 from .plots import INK, Curve, from_origin, lines, name_ticks
 
-_MOST_DRAWN = 40  # quantities of a figure
+_MOST_DRAWN = 40  # most quantities in a figure
 
 
 def against_measurement(digest: Digest) -> Section | None:
-    """Every case that was measured: a table of its quantities by model, and a figure; None where none was."""
+    """Tables and figures of every case with a measurement; None if there is none."""
     cases = [(case, case.measurement) for case in digest.cases if case.measurement is not None]
     blocks: list[Block] = []
     for number, (case, found) in enumerate(cases):
@@ -56,11 +56,11 @@ def _summary(digest: Digest, found: Measurement, number: int, unit: str) -> Tabl
     moved = np.array([one.component in (*AXES, FORCE) for one in found.quantities]) & of_unit
 
     def rows(name: str) -> Index:
-        """The quantities that a model answers."""
+        """The quantities for which a model has an answer."""
         return np.flatnonzero(np.isfinite(found.error(name)) & of_unit)
 
     def used(name: str, values: Array) -> float:
-        """Root mean square, without distances of a whole surface, another kind, where there is something else."""
+        """Root mean square over displacements and forces; over distances of surfaces if there are no others."""
         known = rows(name)
         chosen = known[moved[known]] if moved[known].any() else known
         return float(np.sqrt((values[chosen] ** 2).mean())) if len(chosen) else math.nan
@@ -152,7 +152,7 @@ def _named(one: Quantity, case: CaseResult) -> str:
 
 
 def _figures(digest: Digest, case: CaseResult, found: Measurement, number: int) -> Iterator[Figure]:
-    """Displacements at points side by side; of each constraint whose force was measured the force against depth."""
+    """A figure of the displacements at points, and one of force against depth for each measured force."""
     groups: dict[str, list[int]] = {}
     for k, one in enumerate(found.quantities):
         if one.component in (*AXES, FORCE):
@@ -170,7 +170,7 @@ def _figures(digest: Digest, case: CaseResult, found: Measurement, number: int) 
                 f"Force of {force_of} against depth, measured",
                 (f"depth [{length_unit}]", "force"),
             )
-        else:  # the models of a quantity stand beside it and end before the next one
+        else:  # the models' points are beside the measured one, before that of the next quantity
             x, gap, look = np.arange(len(mine), dtype=float), 0.8 / (1 + len(models)), {"linestyle": "none"}
             names = [(float(k), _named(one, case)) for k, one in enumerate(quantities)]
             title, labels = "Measured", ("measured quantity", "displacement")
@@ -202,7 +202,7 @@ def _draw_measured(axes: Axes, x: Array, values: Array, bars: Array, names: list
 
 
 def inputs(digest: Digest) -> Section | None:
-    """The first case that tells how well its inputs are known, a key case if there is one; None where none does."""
+    """The effect of uncertain inputs in the first case that has it, a key case if possible; None if none has it."""
     cases = [*(case for _, case in digest.key_cases), *digest.cases]
     case = next((case for case in cases if case.inputs is not None), None)
     if case is None or (first := case.inputs) is None:
@@ -217,7 +217,7 @@ def inputs(digest: Digest) -> Section | None:
 
 
 def _moves_nothing(spread: InputSpread) -> list[str]:
-    """The places of regions that change no answer at all."""
+    """Inputs of regions' shapes that change no answer at all."""
     return [
         key
         for k, key in enumerate(spread.keys)

@@ -1,4 +1,4 @@
-"""What was computed, in one picture and a few lines: the scene of the case that the page looks at first."""
+"""The scene of the first key case, in one picture and a few lines of words."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .blocks import Scene
 from .scene_picture import PART, Outline, Part, Stage, scene_svg, style_of
 
 _WORDS = Path(__file__).parent / "templates" / "scene.txt"
-# of the sum of its facets' forces: a contact whose resultant is smaller presses from all sides
+# resultant over the sum of facet forces: a contact with less presses from all sides
 _ALL_ROUND = 0.05
 
 
@@ -35,7 +35,7 @@ def _said(macro: str, *about: Any) -> str:
 
 
 def scene(digest: Digest) -> Scene | None:
-    """The picture and the words of a run's scene; None where no case is finished."""
+    """The picture and the words of a run's scene; None if no case is finished."""
     if not digest.cases:
         return None
     case = digest.key_cases[0][1]
@@ -49,14 +49,15 @@ def scene(digest: Digest) -> Scene | None:
 
 
 def _cut_bodies(case: CaseResult) -> list[Markup]:
-    """Of each model that cut the body, its parts where they are at full load, with their rotation and strain."""
+    """A drawing of the body at full load for each model that cut it, with the rotation and strain of the parts."""
     drawn: list[Markup] = []
     for name, model in case.models.items():
         of_node, moved = model.part_of_node, model.displacement[case.full_load]
         told = {key: values[case.full_load] for key, values in model.scalars.items()}
         if of_node is None or told.get("parts") != of_node.max() or not np.isfinite(moved).all():
             continue
-        # a node on a cut counts to the last of its parts, so a facet is of the first that one of its nodes is of
+        # nodes on a cut have the highest number of their parts, so the lowest number of a facet's nodes is its
+        # part
         of_facet = of_node[case.triangles].min(axis=1)
         parts = []
         for k in range(1, int(of_node.max()) + 1):
@@ -70,7 +71,7 @@ def _cut_bodies(case: CaseResult) -> list[Markup]:
 
 
 def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
-    """The regions of a case that something acts on; the labels tell the loads of all `cases`."""
+    """The regions of a case with supports or loads; the labels have the loads of all `cases`."""
     several = sum(c.kind == "contact" for c in case.study.constraints) > 1
     parts = []
     for constraint in case.study.constraints:
@@ -83,7 +84,7 @@ def parts_of(case: CaseResult, cases: Sequence[CaseResult]) -> list[Part]:
 
 
 def _direction(case: CaseResult, kind: str, constraint: Constraint) -> Array | None:
-    """(3,) of what a constraint moves or pushes; None of a support, and of what pushes from all sides."""
+    """(3,) direction in which a constraint moves or pushes; None for supports, and for pressure from all sides."""
     key = {"constrained": "displacement", "line": "resultant", "traction": "resultant", "indenter": "push"}
     if (given := getattr(constraint, key.get(kind, ""), None)) is not None:
         return np.array(given, dtype=float)
@@ -91,7 +92,7 @@ def _direction(case: CaseResult, kind: str, constraint: Constraint) -> Array | N
 
 
 def outlines_of(case: CaseResult) -> list[Outline]:
-    """Where the inclusions are: three great circles of a ball, the edges of a box; of a group nothing is known."""
+    """Outlines of the inclusions: great circles of a ball, edges of a box; none for groups of a mesh file."""
     found = []
     for entry in case.study.inclusions or ():
         if ball := entry.ball:
@@ -106,7 +107,7 @@ def outlines_of(case: CaseResult) -> list[Outline]:
 
 
 def _circles() -> Array:
-    """(E, 2, 3) the three great circles of the unit ball."""
+    """(E, 2, 3) segments of three great circles of the unit ball."""
     angle = np.linspace(0.0, 2.0 * np.pi, 49)
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
     pieces = np.stack([circle[:-1], circle[1:]], axis=1)
@@ -114,14 +115,14 @@ def _circles() -> Array:
 
 
 def _edges() -> Array:
-    """(12, 2, 3) edges of the unit box."""
+    """(12, 2, 3) edges of the unit cube."""
     corners = np.array(list(product((0.0, 1.0), repeat=3)))
     ends = [(a, b) for a, b in combinations(range(8), 2) if np.abs(corners[a] - corners[b]).sum() == 1.0]
     return corners[np.array(ends)]
 
 
 def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str, str]]:
-    """(what, value) of tissue, body, mesh and constraints, with the ranges over all `cases`."""
+    """(what, value) of tissue, body, mesh and constraints, with ranges over all `cases`."""
     rows = [("Tissue", _said("tissue", _tissue(cases)))]
     for k, entry in enumerate(case.study.inclusions or ()):
         rows.append(("Inclusion", _said("inclusion", _inclusion(entry, k, case, cases))))
@@ -151,7 +152,7 @@ def scene_words(case: CaseResult, cases: Sequence[CaseResult]) -> list[tuple[str
 
 
 def _tissue(cases: Sequence[CaseResult]) -> dict[str, Any]:
-    """Its values over all cases; `rest` is how far the scanned shapes are from those at rest, by model."""
+    """Values of the tissue over all cases; `rest`: model -> distances of scanned shapes from rest shapes [m]."""
     rest: dict[str, list[float]] = {}
     for name, model in ((name, model) for case in cases for name, model in case.models.items()):
         if REST_DISTANCE in model.scalars:
@@ -168,7 +169,7 @@ def _tissue(cases: Sequence[CaseResult]) -> dict[str, Any]:
 
 
 def _inclusion(entry: Inclusion, k: int, case: CaseResult, cases: Sequence[CaseResult]) -> dict[str, Any]:
-    """Its name, size and moduli over all cases, and who leaves it out."""
+    """An inclusion's name, size and moduli over all cases, and the models that leave it out."""
     same = [found[k] for other in cases if len(found := other.study.inclusions or ()) > k]
     return {
         "name": entry.name,
@@ -180,14 +181,14 @@ def _inclusion(entry: Inclusion, k: int, case: CaseResult, cases: Sequence[CaseR
 
 
 def _cavities(case: CaseResult) -> list[float]:
-    """The volumes of the closed surfaces inside the outer one [m^3]."""
+    """Volumes of the cavities [m^3]."""
     of_facet = shells(case.points, case.triangles)
     volumes = piece_volumes(case.points, case.triangles, of_facet, of_facet.max() + 1)
     return [-float(volume) for volume in volumes[1:]]
 
 
 def _parts_words(case: CaseResult, name: str) -> str:
-    """Into how many parts a model cut the body, and how far each turned and is strained at full load."""
+    """The number of parts that a model cut the body into, their rotations and strain at full load; "" if none."""
     found = {key: float(values[case.full_load]) for key, values in case.models[name].scalars.items()}
     if not found.get("parts", math.nan) > 0:
         return ""
@@ -197,7 +198,7 @@ def _parts_words(case: CaseResult, name: str) -> str:
 
 
 def _thrust(case: CaseResult, constraint: Constraint) -> Array | None:
-    """(3,) direction in which a contact pushes the body; None where it pushes from all sides."""
+    """(3,) direction in which a contact pushes the body; None if it pushes from all sides."""
     inside = case.regions[constraint.region][case.triangles].all(axis=1)
     vectors = facet_area_vectors(case.points, case.triangles[inside])
     total, sizes = vectors.sum(axis=0), np.linalg.norm(vectors, axis=1).sum()
@@ -208,7 +209,7 @@ def _thrust(case: CaseResult, constraint: Constraint) -> Array | None:
 
 
 def _load(name: str, cases: Iterable[CaseResult]) -> str:
-    """The load of a constraint at full load over all cases: "0.1 to 0.4 N", "peak 800 Pa", "2 mm"."""
+    """The full load of a constraint over all cases: "0.1 to 0.4 N", "peak 800 Pa", "2 mm"."""
     found: dict[str, list[float]] = {}
     for case in cases:
         factor = float(case.load_factors[case.full_load])
@@ -217,7 +218,7 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
                 found.setdefault("Pa/m", []).append(constraint.stiffness)
             for key in constraint.loads:
                 size = getattr(constraint, key)
-                if isinstance(size, tuple):  # one that moves nothing holds
+                if isinstance(size, tuple):  # a displacement of zero is a support, not a load
                     size = float(np.linalg.norm(size)) or None
                 if size is not None:
                     smooth = key == "pressure" and constraint.profile != "uniform"
@@ -226,6 +227,6 @@ def _load(name: str, cases: Iterable[CaseResult]) -> str:
 
 
 def _over(cases: Iterable[CaseResult], table: str, key: str) -> list[float]:
-    """The values of a key of the study over all cases; none where none has it."""
+    """The values of a key of the study over all cases that have it."""
     values = [getattr(getattr(case.study, table), key, None) for case in cases]
     return [float(value) for value in values if isinstance(value, int | float)]

@@ -1,4 +1,4 @@
-"""Tables: small-strain limits, every measure, every case, what failed, and how to reproduce it."""
+"""Tables: small-strain limits, all measures, all cases, failures, and how to reproduce the run."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class _Row(NamedTuple):
 
 
 def small_strain_limits(digest: Digest) -> Section | None:
-    """Structural error and growth limits per model and case."""
+    """Structural error and limits of growth, for each model and case."""
     rows = [
         _Row(case, model, entry, limit)
         for case in digest.cases
@@ -109,7 +109,7 @@ def _load(limit: Limit, load: float, unit: str) -> Cell:
 
 
 def all_measures(digest: Digest) -> Section | None:
-    """Every metric of every compared model at full load, defined, and what the reference has of its own."""
+    """Every metric with its definition, for all compared models and the reference, at full load."""
     found = dict.fromkeys(
         name for case in digest.cases for model in digest.compared for name in case.metrics.get(model, {})
     )
@@ -136,11 +136,11 @@ def _measure_name(metric: str) -> str:
 
 
 _OPEN_ROWS = 12
-_MOST_CELLS = 9000  # of the page; the rest is in metrics.csv
+_MOST_CELLS = 9000  # most cells on the page; metrics.csv has all
 
 
 def case_table(digest: Digest) -> Section | None:
-    """One row per finished case, the worst of the focus model first."""
+    """One row for each finished case, the worst of the focus model first."""
     if not digest.cases:
         return None
     roles = {case.hash: role for role, case in digest.key_cases if role}
@@ -180,7 +180,7 @@ def _swept(digest: Digest, key: str) -> Field:
 
 
 def _family(digest: Digest, one: Verdict) -> list[Field]:
-    """The columns of a family: the error and the word of the model that decides; of none the errors of all."""
+    """The columns of a family: error and word of the deciding model; if none decides, the errors of all."""
     models = (one.model,) if one.model else one.models
     errors = [Field(model, _error(digest, model, VECTOR), "1", "displacement") for model in models]
     word = Field(TITLES[Family(one.family)], lambda case: one.states[case.hash], detail="within limits?")
@@ -204,7 +204,7 @@ def _error(digest: Digest, model: str, metric: str) -> Callable[[CaseResult], Ce
 
 
 class Stopped(NamedTuple):
-    """What a model, or a case, says: of which step first and how often, and what to do."""
+    """A message of a model or a case that failed, where it came up, and what to do."""
 
     model: str
     where: str
@@ -237,7 +237,7 @@ def failures(digest: Digest) -> Section | None:
 
 
 def stopped_models(digest: Digest) -> list[Stopped]:
-    """Of each model the first step that failed: once for each reason."""
+    """The first failed step of each model, one entry for each reason."""
     found: dict[tuple[str, str, str], list[str]] = {}
     for case in digest.cases:
         for model, result in case.models.items():
@@ -256,15 +256,17 @@ def stopped_models(digest: Digest) -> list[Stopped]:
     ]
 
 
-_SHORT = 16  # hex digits of a hash that are shown
+_SHORT = 16  # shown digits of a hash
 
 
 def how_to_reproduce(digest: Digest) -> Section:
-    """The commands, the study as it was written, and what it was run with."""
+    """The commands, the study file, and the versions of packages and models."""
     plan, name = digest.run.plan, digest.run.study.study.name
     words = plan.get("command") or ["run", name]
     given = words[words.index("--out") + 1] if "--out" in words else "results/runs"
-    directory = given if "--out" in words and words[0] != "bench" else f"{given}/{name}"  # bench: one each
+    directory = (
+        given if "--out" in words and words[0] != "bench" else f"{given}/{name}"
+    )  # bench: one per study
     commands = [words, ["report", directory]]
     blocks: list[Block] = [
         note("reproduce", kind="plain"),
@@ -280,10 +282,10 @@ def how_to_reproduce(digest: Digest) -> Section:
 
 
 def _provenance(digest: Digest) -> list[tuple[str, str]]:
-    """(what, its values over all cases) of packages, machine, meshes and versions of models."""
+    """(what, values over all cases) for packages, machine, meshes and versions of models."""
     found: dict[str, dict[str, None]] = {}
     for case in digest.cases:
-        # the names of files alone: their directories are the user's own affair
+        # file names without directories, which may be private
         files = {"geometry file": path.name} if (path := case.study.geometry.path) is not None else {}
         versions = {f"version of {name}": result.version for name, result in case.models.items()}
         for key, value in {**files, **case.provenance, **versions}.items():

@@ -1,7 +1,7 @@
-"""Where on the surface the error sits: the 3-D viewer with its data, and its still pictures.
+"""The error on the surface: the 3-D viewer with its data, and still pictures.
 
-Coordinates are 16-bit steps of the bounding box and displacements 16-bit steps of each step's largest
-component: the rounding, 1.5e-5 of the range, is far below a pixel. Surfaces that cases share are stored once.
+Coordinates are 16-bit fractions of the bounding box, displacements 16-bit fractions of each step's largest
+component. The rounding, 1.5e-5 of the range, is far below a pixel. Surfaces that cases share are stored once.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from .scene_picture import KINDS, Stage
 from .section_scene import parts_of
 
 _U16, _I16 = 65535, 32767
-MOST_BYTES = 4_000_000  # of the viewer's data: a page can be mailed
+MOST_BYTES = 4_000_000  # limit of the viewer's data, so that a page can be mailed
 
 
 def surface(digest: Digest) -> Section | None:
-    """The viewer and a still picture of the first key case; None of no case.
+    """The viewer and a still picture of the first key case; None without cases.
 
-    The viewer has what `MOST_BYTES` hold: every load step, the full load alone, or nothing.
+    The viewer has every load step, the full load alone, or nothing, as `MOST_BYTES` allows.
     """
     if not digest.cases or digest.focus is None:
         return None
@@ -59,14 +59,14 @@ def _url(png: bytes) -> str:
 
 
 def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:
-    """What a picture of one case shows: the study; the case and the scale."""
+    """Two lines above a picture of one case: the study; the case and the scale of displacements."""
     study = digest.run.study.study.title
     scale = plain(displacement_scale(case))
     return study, f"{digest.title(role, case)}, drawn with {scale} times the displacement"
 
 
 def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
-    """Focus model, reference and their difference at full load, drawn alike, and what they show in words."""
+    """Panels of focus model, reference and their difference at full load, and what they show in words."""
     step, scale, seen_from = case.full_load, displacement_scale(case), azimuth(case)
     names = [name for name in dict.fromkeys((digest.focus, case.reference)) if name in case.models]
     fields = {str(name): case.models[str(name)].displacement[step] for name in names}
@@ -102,7 +102,7 @@ def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
 def payload(
     digest: Digest, shown: Sequence[CaseResult], models: Sequence[str], history: bool
 ) -> dict[str, object]:
-    """The viewer's JSON: some key cases and models, every load step or the full load alone."""
+    """The viewer's JSON for some key cases and models: with `history` every load step, else the full load alone."""
     roles = {case.hash: role for role, case in digest.key_cases}
     surfaces: dict[tuple[bytes, bytes], int] = {}
     geometries: list[dict[str, object]] = []
@@ -137,7 +137,7 @@ def payload(
 
 
 def colour_maps() -> dict[str, str]:
-    """256 RGB entries for displacement and for difference: perceptually even, safe for colour-blind readers."""
+    """256 RGB entries for displacement and for difference: perceptually uniform, safe for colour-blind readers."""
     maps = {
         "displacement": colormaps["viridis"](np.linspace(0, 1, 256)),
         "difference": colormaps["inferno"](np.linspace(0.12, 0.97, 256)),
@@ -146,12 +146,12 @@ def colour_maps() -> dict[str, str]:
 
 
 def azimuth(case: CaseResult) -> float:
-    """Angle about z from which the case's supports and loads are seen best [rad]."""
+    """Azimuth of the camera that shows the case's supports and loads best [rad]."""
     return Stage(case.points, case.triangles, parts_of(case, [case])).azimuth
 
 
 def displacement_scale(case: CaseResult) -> float:
-    """A round factor at least 1 that makes the largest displacement visible: about a tenth of the body."""
+    """A round factor, at least 1, that scales the largest displacement to about a tenth of the body."""
     sizes = [np.abs(result.displacement[np.isfinite(result.displacement)]) for result in case.models.values()]
     largest = max((float(size.max()) for size in sizes if size.size), default=0.0)
     wanted = 0.1 * float(np.linalg.norm(np.ptp(case.points, axis=0))) / largest if largest > 0 else 1.0
@@ -159,7 +159,7 @@ def displacement_scale(case: CaseResult) -> float:
 
 
 def _regions(case: CaseResult) -> list[dict[str, object]]:
-    """The nodes of the regions that something acts on."""
+    """The nodes of the regions with supports or loads."""
     return [
         {"kind": part.kind, "nodes": _pack(np.flatnonzero(part.nodes).astype(_index_type(case)))}
         for part in parts_of(case, [case])
