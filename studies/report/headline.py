@@ -84,11 +84,7 @@ def against_limits(verdicts: Verdicts, digest: Digest) -> Table | None:
     fields = [
         Field("Model that decides", lambda one: Cell(one.model, TITLES[Family(one.family)])),
         *(
-            Field(
-                f"{one.name[:1].upper()}{one.name[1:]}",
-                limit(one.key),
-                detail=f"at most {measure(one.allowed, one.unit)}",
-            )
+            Field(capital(one.name), limit(one.key), detail=f"at most {measure(one.allowed, one.unit)}")
             for one in limits
         ),
         Field("Up to which load", lambda one: capital(" ".join(said("reached", one)))),

@@ -35,11 +35,6 @@ from .section_tables import (
 )
 from .section_view import heading, still, surface
 
-
-class PictureError(ValueError):
-    """There is nothing to draw."""
-
-
 _NAME = re.compile(r"\b[a-z]+(?:-[a-z0-9:]+)+|\b[a-z_]+(?:\.[a-z0-9_]+)+")  # a model or a key
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -67,7 +62,7 @@ def write_picture(run: Run, path: Path) -> None:
 
     Raises
     ------
-    PictureError
+    ValueError
         no finished case with a displacement to draw.
     OSError
         disk full or read-only.
@@ -76,7 +71,7 @@ def write_picture(run: Run, path: Path) -> None:
     role, case = digest.key_cases[0] if digest.cases else ("", None)
     panels = [] if case is None else still(digest, case)[0]
     if case is None or not panels:
-        raise PictureError("there is no finished case to draw")
+        raise ValueError("there is no finished case to draw")
     write_atomically(path, picture.labelled(panels, heading(digest, role, case)))
 
 
@@ -88,18 +83,21 @@ def write_report(run: Run, path: Path) -> None:
     OSError
         disk full or read-only.
     """
-    write_atomically(path, encoded(page_html(run)))
+    # a lone surrogate, which JSON allows in names, becomes a question mark
+    write_atomically(path, page_html(run).encode("utf-8", "replace"))
 
 
+@np.errstate(
+    all="ignore"
+)  # the numbers of a model that broke down may overflow; they are shown as not finite
 def every_section(digest: Digest) -> list[Section]:
     """All sections that have content."""
     others = load_all("vdmbench.report", "section_")
     added = [make for module in others for make in getattr(module, "SECTIONS", ())]
-    # the numbers of a model that broke down may overflow; they are shown as not finite
-    with np.errstate(all="ignore"):
-        return [section for make in (*SECTIONS, *added, *APPENDIX) if (section := make(digest))]
+    return [section for make in (*SECTIONS, *added, *APPENDIX) if (section := make(digest))]
 
 
+@np.errstate(all="ignore")
 def page_html(run: Run) -> str:
     """The page as text."""
     digest = digest_of(run)
@@ -108,28 +106,22 @@ def page_html(run: Run) -> str:
     viewed = any(isinstance(b, Viewer) and b.payload for section in sections for b in section.blocks)
     scripts = _scripts() if viewed else _scripts()[:1]
     page = _environment().get_template("page.html")
-    with np.errstate(all="ignore"):
-        return page.render(
-            run=run,
-            told=words,
-            further={question: said for question, said in words["further"].items() if question not in BESIDE},
-            colours={name: digest.colour(name) for name in digest.models},
-            take=headline.what_to_take(found),
-            limits=headline.against_limits(found, digest),
-            scene=scene(digest),
-            style=asset("page.css"),
-            sections=sections,
-            scripts=scripts,
-            policy=_policy(scripts),
-        )
+    return page.render(
+        run=run,
+        told=words,
+        further={question: said for question, said in words["further"].items() if question not in BESIDE},
+        colours={name: digest.colour(name) for name in digest.models},
+        take=headline.what_to_take(found),
+        limits=headline.against_limits(found, digest),
+        scene=scene(digest),
+        style=asset("page.css"),
+        sections=sections,
+        scripts=scripts,
+        policy=_policy(scripts),
+    )
 
 
 # --- the document ---
-
-
-def encoded(text: str) -> bytes:
-    """UTF-8. A lone surrogate, which JSON allows in names, becomes a question mark."""
-    return text.encode("utf-8", "replace")
 
 
 def _scripts() -> list[Markup]:

@@ -17,6 +17,7 @@ from ..study.registry import Family
 from ..verdict.digest import DRIFT, Digest, failed_steps
 from ..verdict.formatting import (
     NOTHING,
+    capital,
     first_of,
     parameter_name,
     percent,
@@ -120,19 +121,16 @@ def all_measures(digest: Digest) -> Section | None:
     def of(model: str) -> Any:
         return lambda name: spread_cell(digest.spread(model, name), METRICS[name].unit)
 
+    def in_words(metric: str) -> str:
+        return capital(metric.replace("relative_l2_", "").replace("p95_", "95 % ").replace("_", " "))
+
     fields = [
-        Field("Measure", lambda name: Cell(_measure_name(name), METRICS[name].definition)),
+        Field("Measure", lambda name: Cell(in_words(name), METRICS[name].definition)),
         *(Field(model, of(model), "#", "median") for model in digest.compared),
         Field(str(digest.reference), of(str(digest.reference)), "#", "reference"),
     ]
     table = frame_table(rows, fields, "measures")
     return Section("measures", "All measures at full load", [note("measures"), table])
-
-
-def _measure_name(metric: str) -> str:
-    """A metric's name as words."""
-    words = metric.replace("relative_l2_", "").replace("p95_", "95 % ").replace("_", " ")
-    return words[:1].upper() + words[1:]
 
 
 _OPEN_ROWS = 12

@@ -37,7 +37,10 @@ def surface(digest: Digest) -> Section | None:
         return None
     role, first = digest.key_cases[0]
     panels, words = still(digest, first)
-    shown = Still(digest.title(role, first), _url(labelled(panels)), words) if panels else None
+    shown = None
+    if panels:
+        url = "data:image/png;base64," + base64.b64encode(labelled(panels)).decode("ascii")
+        shown = Still(digest.title(role, first), url, words)
     cases, roles = [case for _, case in digest.key_cases], [role for role, _ in digest.key_cases]
     data: dict[str, object] | None = None
     for history in (True, False):
@@ -52,10 +55,6 @@ def surface(digest: Digest) -> Section | None:
         "Where on the surface",
         [intro, Viewer(data, shown, note("viewer", data is not None, history))],
     )
-
-
-def _url(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
 
 def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:

@@ -189,14 +189,9 @@ class Verdicts(Mapping[str, Verdict]):
 
 
 @lru_cache(maxsize=1)  # page, terminal and notebook show the same run
+@np.errstate(all="ignore")  # the numbers of a model that broke down may overflow
 def verdicts(digest: Digest) -> Verdicts:
     """The verdicts of a run."""
-    # the numbers of a model that broke down may overflow
-    with np.errstate(all="ignore"):
-        return _verdicts(digest)
-
-
-def _verdicts(digest: Digest) -> Verdicts:
     reference, nothing = digest.reference or "", _why_nothing_is_judged(digest)
     inside = digest.in_range
     unjudged = dict.fromkeys((case.hash for case in digest.cases), NOT_JUDGED)

@@ -90,7 +90,6 @@ def _templates(file: Path) -> Any:
         "known": lambda value: value is not None and math.isfinite(value),
         "short": f.short_percent,
         "amount": f.quantity,
-        "measure": f.measure,
         "bar": lambda value, bar: f.measure(value, bar=bar),
         "plain": f.plain,
         "listed": f.listed,
