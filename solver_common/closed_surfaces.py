@@ -68,6 +68,7 @@ def crossings(points: Array, triangles: Index, since: int = 0) -> Index:
 
 
 def _candidates(points: Array, triangles: Index, since: int) -> tuple[Index, Index]:
+    """Facets (P,) and (P,) of the pairs whose bounding balls touch, as in `crossings`."""
     from scipy.spatial import KDTree  # slow to load, and not needed to read a mesh
 
     corners = points[triangles]

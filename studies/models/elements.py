@@ -55,6 +55,7 @@ def _small_strain(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:
 
 
 def _condensed(scene: Scene, solver: str, name: str, n_loads: int) -> SetUp:  # noqa: ARG001
+    """Linear elements, condensed to the contact nodes and to one motion of the held nodes."""
     from fem_reference.condensed import CondensedProblem
     from fem_reference.linear import LinearProblem
 
@@ -77,6 +78,7 @@ def _finite_strain(
     n_loads: int,
     path: LoadPath | None = None,
 ) -> SetUp:
+    """Hyperelastic elements; with a `path` each answer continues from the last one."""
     if solver == PLAIN:
         from fem_reference.plain_finite_strain import PlainFiniteStrainProblem
 
@@ -225,6 +227,7 @@ def _springs(scene: Scene) -> list[ElasticSupport]:
 
 
 def fem_loads(loads: Sequence[SurfaceLoad], mesh: TetMesh) -> list[FemLoad]:
+    """Loads of a scene as loads of `fem_reference`; forces on lines and regions become nodal forces of `mesh`."""
     from fem_reference.forces import line_forces, region_forces
     from fem_reference.loads import Load
 

@@ -67,6 +67,7 @@ def rest_shape(
 
 
 def no_rest_shape(why: str) -> SolverError:
+    """The error of a scanned body without a rest shape."""
     return solver_error(
         NO_REST_SHAPE,
         f"no rest shape was found that sags into the scanned one: {why}",

@@ -361,7 +361,7 @@ def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
             label.set_horizontalalignment("right")
 
 
-# --- whose curve a curve is, written beside it ---
+# --- names beside curves ---
 
 
 def name_curves(axes: Axes) -> None:

@@ -143,6 +143,7 @@ def _axis(digest: Digest, key: str) -> _Axis:
 
 
 def _stride(axis: _Axis) -> int:
+    """Every `_stride`-th value is drawn."""
     return 1 if axis.joined or axis.kind == "names" else math.ceil(len(axis.at) / _MOST_POINTS)
 
 

@@ -170,6 +170,7 @@ def _index_type(case: CaseResult) -> str:
 
 
 def _geometry(case: CaseResult) -> dict[str, object]:
+    """The viewer's surface: nodes as 16-bit fractions of the bounding box, triangles as node numbers."""
     low = case.points.min(axis=0)
     step = np.where(np.ptp(case.points, axis=0) > 0, np.ptp(case.points, axis=0), 1.0) / _U16
     return {
@@ -183,6 +184,7 @@ def _geometry(case: CaseResult) -> dict[str, object]:
 
 
 def _displacements(case: CaseResult, model: str, steps: list[int]) -> list[dict[str, object]]:
+    """The viewer's displacements of each step, or the message of a step that failed."""
     out: list[dict[str, object]] = []
     for step in steps:
         u = case.models[model].displacement[step]
@@ -196,8 +198,10 @@ def _displacements(case: CaseResult, model: str, steps: list[int]) -> list[dict[
 
 
 def _rounded(u: Array, scale: float) -> NDArray[np.int16]:
+    """(N, 3) displacement u in units of `scale` [m]; zero where nothing moves."""
     return (u / scale if scale > 0 else np.zeros_like(u)).round().astype("<i2")
 
 
 def _pack(values: NDArray[np.generic]) -> str:
+    """The bytes of an array in Base64."""
     return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

@@ -1,1 +1,1 @@
-"""What it means, in numbers and words, without drawing. In: a run as read back. Out: what is said of it."""
+"""The meaning of a run, in numbers and words, without drawings. In: a run as read back. Out: its verdicts."""

@@ -423,6 +423,7 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
 
 
 def _none(interaction: str, digest: Digest, allowed: float = math.nan) -> Advice:
+    """The advice that no model serves."""
     return Advice(interaction, "none" if len(digest.cases) == 1 else "none in the median", allowed=allowed)
 
 

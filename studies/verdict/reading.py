@@ -73,6 +73,7 @@ def _largest(values: Array | None) -> float:
 
 
 def _difference(case: CaseResult, model: str) -> float:
+    """Largest difference from the trusted solver's displacement, over the largest one; NaN without one."""
     other = trusted(case, model)
     if other is None:
         return math.nan
@@ -95,6 +96,7 @@ def _second_order(case: CaseResult, model: str) -> float:
 
 
 def _left(case: CaseResult, result: ModelResult) -> float:
+    """Displacement after the last step, if that has no load, over the largest displacement; else NaN."""
     factors, u = case.load_factors, result.displacement
     if len(factors) < 2 or factors[-1] != 0.0 or not np.any(factors):
         return math.nan

@@ -224,6 +224,7 @@ SURFACE_REFERENCE = "surface reference"
 
 
 def _why_nothing_is_judged(digest: Digest) -> str:
+    """One of the four words above; "" if the run can be judged."""
     reference = digest.reference
     if not digest.cases:
         return NO_CASE
@@ -328,7 +329,7 @@ def _of_steps(factors: Array, status: Sequence[Status]) -> list[tuple[str, str]]
     ]
 
 
-# --- how sure, and what was measured ---
+# --- error bars and measurements ---
 
 
 def _sureness(digest: Digest) -> Sureness:

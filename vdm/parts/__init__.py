@@ -1,1 +1,1 @@
-"""A body cut into parts: closed surface in -> parts that share the nodes of their cuts, each a closed body."""
+"""Bodies in parts: cuts a closed surface into parts, each closed, that share the nodes of their cuts."""

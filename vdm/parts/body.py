@@ -758,6 +758,7 @@ def pieces_of(surface: SurfaceMesh) -> list[Index]:
 
 
 def _halves(surface: SurfaceMesh, nodes: Index) -> list[Index]:
+    """The nodes in two halves by area; undivided if one half would have fewer than `FEWEST`."""
     areas = surface.nodal_areas[nodes]
     along = np.argsort(along_longest_axis(surface.points[nodes], areas)[0])
     middle = int(np.searchsorted(np.cumsum(areas[along]), 0.5 * areas.sum()))

@@ -156,6 +156,7 @@ def _edges_to(triangles: Index, loops: list[Index], apart: Mask, n: int) -> int:
 def _closed(
     points: Array, triangles: Index, labels: Mask, loops: list[Index], normal: Array
 ) -> tuple[Array, list[Index]]:
+    """The points with those of the caps, and the closed pieces on the two sides; raises `CutError`."""
     new, facets = cap(points, loops, normal)
     grown = np.vstack([points, new])
     border = np.concatenate([np.stack([loop, np.roll(loop, -1)], axis=1) for loop in loops])
