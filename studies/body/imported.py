@@ -19,7 +19,7 @@ from ..study.shapes import (
     check_extent,
     check_mesh_size,
     check_node_budget,
-    fewer_nodes,
+    doubted_extent,
     file_digest,
 )
 from .mesh import Mesh
@@ -37,12 +37,13 @@ def imported_surface(geometry: FileBody, *, volume: bool) -> tuple[Clean, Array]
     clean = _clean(geometry.path, file_digest(geometry.path), geometry.repair or "")
     points, centre, scale = _in_metres(clean.points, geometry)
     size = geometry.mesh_size or 0.0
-    check_mesh_size(size, float(np.ptp(points, axis=0).min()))
+    extents = np.ptp(points, axis=0)
+    doubt = doubted_extent(geometry, float(extents.max()))
+    check_mesh_size(size, float(extents.min()), doubt)
     surface = Clean(
         points, clean.cells, {"scale": scale, "imported_points": float(len(points)), **clean.repairs}
     )
-    remedy = fewer_nodes(geometry, float(np.ptp(points, axis=0).max()))
-    check_node_budget(surface.area, surface.volume if volume else 0.0, size, remedy)
+    check_node_budget(surface.area, surface.volume if volume else 0.0, size, f"{doubt}use a larger mesh_size")
     _check_cavities(geometry, clean.points, clean.cells)
     return surface, centre
 

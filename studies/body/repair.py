@@ -13,6 +13,7 @@ from solver_common.closed_surfaces import closed_pieces, pieces
 from ..study.errors import MeshError
 from .surface_measures import enclosed_volume, facet_areas
 from .topology import (
+    CLOSE_IT,
     check_finite,
     consistent_orientation,
     half_edges,
@@ -82,14 +83,15 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:
     sound = len(faces)
     if repair in ("largest-piece", "both"):
         faces = _largest_piece(points[used], faces)
-    in_piece = len(faces)
+    in_piece, remedy = len(faces), CLOSE_IT
     if repair in ("fill-holes", "both"):
         from .remesh import caps  # slow to load
 
         faces = np.concatenate([faces, caps(points[used], faces)])
+        remedy = 'repair = "fill-holes" does not close it: close it where it was made'
     kept, local = np.unique(faces, return_inverse=True)
     clean_points = points[used][kept]
-    outward, flipped = consistent_orientation(clean_points, local.reshape(-1, 3))
+    outward, flipped = consistent_orientation(clean_points, local.reshape(-1, 3), remedy)
     repairs = {
         "points_merged": int(np.count_nonzero(target != np.arange(len(used)))),
         "points_dropped": len(points) - len(used),

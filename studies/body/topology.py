@@ -80,8 +80,11 @@ def half_edges(triangles: Index) -> Index:
     return triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
-def facet_pairs(points: Array, triangles: Index) -> tuple[Index, Index, Mask]:
-    """Facets either side of each edge of a closed manifold surface.
+CLOSE_IT = 'close it, or give repair = "fill-holes"'
+
+
+def facet_pairs(points: Array, triangles: Index, remedy: str = CLOSE_IT) -> tuple[Index, Index, Mask]:
+    """Facets either side of each edge of a closed manifold surface; `remedy` is for an open one.
 
     Returns (E,) indices of both facets and an (E,) mask, true where both run along the edge the same way: one of
     them is then turned over. Raises MeshError for an edge without exactly two facets.
@@ -92,7 +95,7 @@ def facet_pairs(points: Array, triangles: Index) -> tuple[Index, Index, Mask]:
     crowded = int(np.count_nonzero(counts > 2))
     if len(rims):
         places = _told_places(points, rims, pieces(len(points), *rims.T)[rims[:, 0]], "edges")
-        raise MeshError(f'the surface is open, in {places}; close it, or give repair = "fill-holes"')
+        raise MeshError(f"the surface is open, in {places}; {remedy}")
     if crowded:
         raise MeshError(
             f"the surface is not manifold: {crowded} edges have more than two facets; "
@@ -124,7 +127,7 @@ def _told_places(points: Array, parts: Index, label: Index, kind: str) -> str:
     return f"{len(names)} place{'s' * (len(names) > 1)} ({'; '.join(told)}{more})"
 
 
-def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]:
+def consistent_orientation(points: Array, triangles: Index, remedy: str = CLOSE_IT) -> tuple[Index, int]:
     """Facets oriented away from the body, and how many were turned.
 
     Closed pieces within the outer one, and not within each other, are the walls of cavities; their facets point
@@ -134,7 +137,7 @@ def consistent_orientation(points: Array, triangles: Index) -> tuple[Index, int]
     Raises MeshError for an open, non-manifold or one-sided surface, pieces beside each other, parts that touch at
     a vertex only, or no volume inside.
     """
-    first, second, same_way = facet_pairs(points, triangles)
+    first, second, same_way = facet_pairs(points, triangles, remedy)
     n_facets = len(triangles)
     # every facet twice, as it is and turned over; join those sides of neighbours that agree
     joined = np.concatenate([first, first + n_facets])

@@ -265,12 +265,12 @@ def check_extent(extent: float, remedy: str, *key: str) -> None:
         )
 
 
-def check_mesh_size(mesh_size: float, smallest_extent: float) -> None:
-    """Raise MeshError where an edge would be longer than half of the body's smallest extent."""
+def check_mesh_size(mesh_size: float, smallest_extent: float, doubt: str = "") -> None:
+    """Raise MeshError, with `doubt` before its remedy, where an edge is longer than half of the smallest extent."""
     if mesh_size > 0.5 * smallest_extent * (1 + 1e-9):
         raise MeshError(
             f"mesh_size {mesh_size:g} m is too large for a body whose smallest extent is {smallest_extent:g} m; "
-            f"use at most {0.5 * smallest_extent:g} m",
+            f"{doubt}use at most {0.5 * smallest_extent:g} m",
             "mesh_size",
         )
 
@@ -307,14 +307,13 @@ def check_node_budget(
         )
 
 
-def fewer_nodes(geometry: Geometry, extent: float) -> str:
-    """The remedy for a mesh with too many nodes, for a body of this extent [m], whose unit may be wrong."""
+def doubted_extent(geometry: Geometry, extent: float) -> str:
+    """What to do about a body of this extent [m], whose unit may be wrong, before what else helps."""
     given = [key for key in ("size", "scale") if key in geometry.parameters]
     told = "if that is wrong correct " + (given[0] if given else "its lengths")
     if isinstance(geometry, FileBody) and not given:
         told = "if the file is not in metres give scale or size"
-    last = "coarsen it" if geometry.has_own_tetrahedra else "use a larger mesh_size"
-    return f"the body is {extent:.3g} m across: {told}, else {last}"
+    return f"the body is {extent:.3g} m across: {told}, else "
 
 
 def geometry_key(geometry: Geometry, *, volume: bool) -> str:
