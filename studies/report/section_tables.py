@@ -239,7 +239,9 @@ def stopped_models(digest: Digest) -> list[Stopped]:
     found: dict[tuple[str, str, str], list[str]] = {}
     for case in digest.cases:
         for model, result in case.models.items():
-            for step in failed_steps(result)[:1]:
+            failed, own = failed_steps(result), case.study.load.history
+            # before a step of the study may lie a load at which another model stopped
+            for step in [k for k in failed if case.load_factors[k] in own][:1] or failed[:1]:
                 status, factor = result.status[step], float(case.load_factors[step])
                 reason = (model, status.message or status.code, status.remedy)
                 found.setdefault(reason, []).append(f"{digest.case_name(case)}, load factor {factor:g}")

@@ -128,7 +128,9 @@ def make_case(
         label=label,
         swept=swept,
         swept_units=dict.fromkeys(swept, "1") | dict(units or {}),
-        study=typed_study(constraints=[{"kind": "fixed", "region": "base"}, constraint]),
+        study=typed_study(
+            constraints=[{"kind": "fixed", "region": "base"}, constraint], load={"factors": list(steps)}
+        ),
         provenance={
             "package.numpy": "2.1.0",
             "platform": "Linux",

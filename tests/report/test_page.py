@@ -20,7 +20,7 @@ from vdmbench.report import section_view
 from vdmbench.report.blocks import Figures, Viewer
 from vdmbench.report.page import page_html, write_report
 from vdmbench.report.section_charts import errors
-from vdmbench.report.section_tables import small_strain_limits
+from vdmbench.report.section_tables import small_strain_limits, stopped_models
 from vdmbench.report.section_view import payload
 from vdmbench.verdict.digest import Digest
 
@@ -193,6 +193,15 @@ def test_the_viewer_begins_where_supports_and_loads_are_seen() -> None:
         assert [region["kind"] for region in regions] == ["fixed", "contact"]
         nodes = np.frombuffer(base64.b64decode(regions[1]["nodes"]), "<u2")
         assert nodes.tolist() == np.flatnonzero(side).tolist()
+
+
+def test_a_model_that_stopped_is_told_with_a_step_of_the_study() -> None:
+    """With that before which it stopped, not with a load on the way at which another model did."""
+    case = make_case({"m": 0.1}, stopped={"m": 1}, subdivisions=0)
+    for own, told in (([0.25, 0.5, 0.75, 1.0], "0.5"), ([0.75, 1.0], "0.75")):
+        digest = Digest(make_run([asked(case, load={"factors": own})]))
+        (one,) = stopped_models(digest)
+        assert one.where == f"the only case, load factor {told}"
 
 
 def test_a_failed_step_is_a_message_to_the_viewer() -> None:

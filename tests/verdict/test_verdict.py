@@ -235,6 +235,12 @@ def test_why_nothing_is_judged(run: Run, why: str, said_so: str) -> None:
     assert told(found)["notes"][0].startswith(said_so)
 
 
+def test_a_load_that_no_case_reaches_is_the_one_reason_why_no_model_has_an_error() -> None:
+    run = make_run([make_case({MODEL: 0.1}, stopped={REFERENCE: 1, MODEL: 1}, subdivisions=0)])
+    first, *_ = told(verdicts(Digest(run)))["notes"]
+    assert first.startswith("The load is not reached")
+
+
 @pytest.mark.parametrize(("also_fixed", "judged"), [(False, True), (True, False)])
 def test_a_body_carried_along_with_its_supports_is_judged(also_fixed: bool, judged: bool) -> None:
     case = make_case({MODEL: 0.01}, load=1.0)
