@@ -185,7 +185,11 @@ class SurfaceMesh:
 
 def rigid_motions(surface: SurfaceMesh, nodes: Mask) -> Array:
     """(n, 3, 6) at `nodes` (N,): unit translations, and rotations about the centroid over the body's radius."""
-    arms = (surface.points[nodes] - surface.points.mean(axis=0)) / surface.equivalent_radius
+    return motions_of((surface.points[nodes] - surface.points.mean(axis=0)) / surface.equivalent_radius)
+
+
+def motions_of(arms: Array) -> Array:
+    """(n, 3, 6) unit translations, and unit rotations about the origin of `arms` (n, 3)."""
     motions = np.empty((len(arms), 3, 6))
     motions[:, :, :3] = np.eye(3)
     # column k is e_k x arm

@@ -131,7 +131,8 @@ def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> float:
         steps.append(prepared.answer(loads).seconds_per_step)
         if time.perf_counter() > end:
             break
-    return median_of_samples(np.concatenate(steps))
+    every = np.concatenate(steps)  # enough for `SAMPLES` samples, each with the mean of consecutive steps
+    return float(np.median([part.mean() for part in np.array_split(every, min(SAMPLES, len(every)))]))
 
 
 # --- one frame of a resting contact ---
@@ -187,11 +188,6 @@ def median_seconds(call: Callable[[], object]) -> float:
 def calls_of_a_sample(seconds: float) -> int:
     """How many calls take `SAMPLE` or longer in all; `seconds` is the minimum of several calls."""
     return max(1, math.ceil(SAMPLE / max(seconds, 1e-9)))
-
-
-def median_of_samples(seconds: Array) -> float:
-    """As `median_seconds`, from the times (k,) of consecutive calls, enough of them for `SAMPLES` samples."""
-    return float(np.median([part.mean() for part in np.array_split(seconds, min(SAMPLES, len(seconds)))]))
 
 
 def growth_exponent(nodes: Array, seconds: Array) -> float:

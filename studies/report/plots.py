@@ -162,8 +162,7 @@ class Curve:
     x, y : (K,) coordinates
     cases : (K,) index of each point's case; None if a point stands for several
     look : further properties of the line
-    band : least and largest (K,) y of the values that a point stands for; drawn as a band, or as whiskers without a
-    line
+    band : least and largest (K,) y of the values that a point stands for; a band, or whiskers without a line
     """
 
     model: str

@@ -204,8 +204,6 @@ def scene_figure(stage: Stage, lines: Sequence[str] = (), title: str = "") -> Fi
     total = below + _FOOT + drawing + above
     figure = Figure((_WIDTH, total))
     axes = figure.add_axes((0.0, (below + _FOOT) / total, 1.0, drawing / total))
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal", anchor="C")
     axes.set_axis_off()
     _draw_body(axes, stage)

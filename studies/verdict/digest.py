@@ -90,13 +90,11 @@ class Figures:
 
     Attributes
     ----------
-    lead, value, bar : name of the leading error, its value and its error bar. It is the normal error of a model
-    that
-        moves along normals, else the displacement error
+    lead, value, bar : name of the leading error, its value and its error bar. It is the displacement error, or the
+        normal error of a model that moves along normals
     displacement, deformation : displacement error, and error in change of shape [1]
-    frame, everywhere : time of a frame of the contact, and with all nodes loaded, over meshes and rounds. If no
-    frames
-        were measured, `frame` is the time of a load step [s]
+    frame, everywhere : time of a frame of the contact, and with all nodes loaded, over meshes and rounds [s]. If
+        none was measured, `frame` is the time of a load step
     set_up : time of the set-up [s]
     memory : largest peak memory over the cases [B]
     marks : remarks beside the times, ELSEWHERE and ONCE

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
-from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial import Delaunay
 
 from solver_common.arrays import Array, Index, Mask
 from solver_common.closed_surfaces import closed_pieces
@@ -189,16 +189,7 @@ def _against(triangles: Index, edges: Index) -> Index:
 
 def _harmonic(triangles: Index, heights: Array, n: int) -> Array:
     """(n,) discrete harmonic function: `heights` at the first nodes, the mean of the neighbours at the others."""
-    known = len(heights)
-    values = np.concatenate([heights, np.zeros(n - known)])
-    if known < n:
-        links = _links(triangles, n)
-        laplacian = sparse.csr_array(sparse.diags_array(links.sum(axis=1)) - links)
-        right = -(laplacian[known:, :known] @ heights)
-        values[known:] = spsolve(sparse.csc_array(laplacian[known:, known:]), right)
-    return values
-
-
-def nearest(places: Array, points: Array) -> Array:
-    """(n,) distance from each place (n, 3) to the nearest of `points` (k, 3) [m]."""
-    return np.asarray(cKDTree(points).query(places)[0])
+    known, links = len(heights), _links(triangles, n)
+    laplacian = sparse.csr_array(sparse.diags_array(links.sum(axis=1)) - links)
+    right = -(laplacian[known:, :known] @ heights)
+    return np.append(heights, spsolve(sparse.csc_array(laplacian[known:, known:]), right))

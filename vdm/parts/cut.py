@@ -11,11 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from solver_common.arrays import Array, Index, Mask
 from solver_common.closed_surfaces import closed_pieces, crossings, solid_angles
 from vdm.boundary.rims import cut_at_rims
-from vdm.parts.caps import CutError, cap, nearest
+from vdm.parts.caps import CutError, cap
 
 # positions of the plane that are tried: offsets from the median, as shares of the area
 SHIFTS = (0.0, 0.04, -0.04, 0.08, -0.08, 0.12, -0.12, 0.18, -0.18)
@@ -186,7 +187,7 @@ def _check_inside(points: Array, triangles: Index, border: Index, facets: Index,
         pieces, pieces[np.isin(triangles, border).any(axis=1)]
     )  # walls that the cut leaves whole
     for nodes, places in ((triangles, inner), (triangles[whole], np.vstack([inner, centres]))):
-        if len(nodes) and (nearest(places, points[np.unique(nodes)]) < apart).any():
+        if len(nodes) and (cKDTree(points[np.unique(nodes)]).query(places)[0] < apart).any():
             raise CutError("caps of the cut touch the surface")
 
 

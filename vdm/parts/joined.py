@@ -24,8 +24,7 @@ from solver_common.arrays import Array, Mask
 from vdm.boundary.rims import Rims
 from vdm.formulations.base import Factor, Factorise
 from vdm.parts.part import Part, dofs
-from vdm.peers.bem import DENSE, BoundaryFormulation, DenseFactor
-from vdm.solution import SolverError
+from vdm.peers.bem import BoundaryFormulation, DenseFactor
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
 
@@ -141,9 +140,7 @@ class JoinedFormulation(BoundaryFormulation):
         moved = spread.toarray().reshape(-1, 3, m)
         return np.asarray(spread.T @ self.elastic_forces(moved).reshape(-1, m))
 
-    def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:
-        if factorise is not Cholesky:
-            raise SolverError(DENSE)
+    def factor(self, free: Mask, factorise: Factorise = Cholesky) -> Factor:  # noqa: ARG002 - it has its own
         return JoinedFactor(self._parts, self._shared_nodes, self._joined, self._apart, self._give, free)
 
     def diagonal(self) -> Array:

@@ -24,6 +24,7 @@ from vdm.material import INCOMPRESSIBLE
 from vdm.parts.part import dofs
 from vdm.peers.bem import MAX_NODES, BoundaryFormulation, too_large
 from vdm.solution import SolverError
+from vdm.surface import motions_of
 
 # share of the number of surface nodes: lumps with fewer nodes get halved facets, so that the surface's error
 # dominates
@@ -60,8 +61,6 @@ class _Inside:
     def solve(self, force: Array) -> Array:
         """X f, (3k, m)."""
         moved = np.asarray(linalg.cho_solve(self.factor, force))
-        if not self.schur.size:
-            return moved
         return moved - self.pressed @ np.linalg.solve(self.schur, self.pressed.T @ force)
 
     def carried(self, force: Array) -> Array:
@@ -104,7 +103,8 @@ class _Regions:
         nodes, local = np.unique(triangles, return_inverse=True)
         facets = Facets.of(self.points[nodes], local.reshape(-1, 3), numbers)
         stiffness = modulus * surface_stiffness(facets, ratio, self.dtype)
-        rigid = _rigid(facets.points)
+        own = facets.points - facets.points.mean(axis=0)
+        rigid = np.linalg.qr(motions_of(own / np.abs(own).max()).reshape(-1, 6))[0]
         take_over(stiffness, rigid, np.zeros_like(rigid))
         at = dofs(nodes)
         self.matrix[np.ix_(at, at)] += stiffness
@@ -184,13 +184,3 @@ class LumpyFormulation(BoundaryFormulation):
         arms = self.surface.points - self.surface.points.mean(axis=0)
         fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
         return np.asarray(self._weight @ fitted)
-
-
-def _rigid(points: Array) -> Array:
-    """(3n, 6) orthonormal rigid motions of points (n, 3)."""
-    arms = points - points.mean(axis=0)
-    arms /= np.abs(arms).max()
-    motions = np.concatenate(
-        [np.tile(np.eye(3), (len(arms), 1, 1)), np.cross(np.eye(3), arms[:, None]).transpose(0, 2, 1)], axis=2
-    )
-    return np.asarray(np.linalg.qr(motions.reshape(-1, 6))[0])

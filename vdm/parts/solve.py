@@ -34,9 +34,8 @@ class PartsSolver:
     Parameters
     ----------
     problem : a problem of boundary elements
-    cut : the cut to use for this number of parts; for a fork, which is cut into more than asked for, down to half
-    of
-        it. None for a new cut
+    cut : a cut to use instead of a new one: for its number of parts, or for more than half of it, as a fork is cut
+        into more parts than asked for
 
     Attributes
     ----------
@@ -83,7 +82,7 @@ class PartsSolver:
         is made.
         """
         start = time.perf_counter()
-        load = self._unturned(self._largest(loads))
+        load = self._unturned(max(loads, key=self._size))
         if given := self._given or count:
             self._solver = self._of(given)
             self.body.wanted = given
@@ -204,9 +203,6 @@ class PartsSolver:
     def _wanted(self, displacement: Array) -> int:
         """How many parts the body needs for a displacement (N, 3)."""
         return parts_wanted(self._whole.formulation.surface, self._pieces, displacement)
-
-    def _largest(self, loads: Sequence[Load]) -> Load:
-        return max(loads, key=self._size)
 
     def _size(self, load: Load) -> float:
         """Norm of the forces of a load, plus that of its prescribed motion, to find the largest load.

@@ -28,7 +28,7 @@ from vdm.parts.part import dofs
 from vdm.parts.solve import PartsSolver, inside
 from vdm.peers.bem import moments, turned_back
 from vdm.solution import SolverError, Status
-from vdm.solvers.nonlinear import Balance, DeformedStep, NonlinearSolver
+from vdm.solvers.nonlinear import Balance, DeformedStep, Large, NonlinearSolver
 
 NOT_UNDONE = "beyond {:.0f} % of its weight the scan cannot be undone"
 REMEDY = "give a stiffer tissue, or leave out gravity.scanned"
@@ -150,9 +150,8 @@ class Unloaded(Parts):
             change[part.nodes[part.inner]] = moved.reshape(-1, 3) @ g.T
         return change[self.free], push[kept]
 
-    def closing(self, balance: Balance, change: Array, pushed: Array) -> tuple[Array, Array]:  # noqa: ARG002
-        """As in `Large`: nothing is added, and the last correction closes the gaps."""
-        return np.zeros_like(change), np.zeros_like(balance.gap)
+    # a trial rest shape is no equilibrium under a load, and its last correction closes the gaps
+    closing, stiffness_left = Large.closing, Large.stiffness_left
 
     def _border_of(self, number: int, balance: Balance) -> tuple[Array, Array, Array]:
         """Border of a part in its frame: columns (n, 3, k), rows (n, 3, k), and their own block (7, 7).
@@ -185,10 +184,6 @@ class Unloaded(Parts):
         if not (part.inner | part.shared).any() and not self.give[number]:
             own[0, 0] = 1.0  # held all over: no displacement fixes the pressure, so it stays zero
         return pushing, reading, own
-
-    def stiffness_left(self, balance: Balance) -> float:  # noqa: ARG002
-        """As in `Large`: NaN, as a trial rest shape is no equilibrium under a load."""
-        return np.nan
 
     def energy(self, balance: Balance) -> float:
         return self._near.energy(balance.parts.seen)

@@ -392,7 +392,10 @@ class NonlinearSolver:
                     break
             else:
                 break
-            further = _mixed(path[-count:], weights)
+            further = (
+                np.tensordot(weights, [state.x for state in path[-count:]], 1),
+                np.tensordot(weights, [state.pressure for state in path[-count:]], 1),
+            )
             added = float(np.linalg.norm(further[0] - found[0]))
             if added > most:
                 break
@@ -506,12 +509,6 @@ def _hidden(rounding: float, moved: float) -> Status:
         f"rounding of the coordinates moves the body by {rounding:.1e} m, and the load by {moved:.1e} m",
         "use the linear solver, which such a load does not tell from this one, or a wider support, or load it more",
     )
-
-
-def _mixed(path: Sequence[_Converged], weights: Array) -> tuple[Array, Array]:
-    """Weighted sums of the unknowns and of the pressures of converged states."""
-    unknowns, pressures = [state.x for state in path], [state.pressure for state in path]
-    return np.tensordot(weights, unknowns, 1), np.tensordot(weights, pressures, 1)
 
 
 def _products(path: Sequence[Load], load: Load) -> Array:
