@@ -1,4 +1,4 @@
-"""Boundary elements: elastic forces of the homogeneous body from its surface alone, without a fit."""
+"""Boundary elements: elastic forces of a homogeneous body from its surface alone, without fitted parameters."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from vdm.solution import SolverError, Status
 from vdm.solvers.cholesky import Cholesky
 from vdm.surface import SurfaceMesh
 
-# largest number of nodes N of a dense matrix of (3N)^2 numbers
+# largest number of nodes N for a dense matrix of (3N)^2 numbers
 MAX_NODES = 2000
-# largest number of unknowns for which an inverse is made: 0.2 s of 3 at 1,000 nodes
+# largest number of unknowns for which the inverse is computed: 0.2 s of 3 s at 1,000 nodes
 INVERTED = 3000
-# smallest pivot over the largest one, below which a factor counts as singular
+# ratio of the smallest to the largest pivot, below which a matrix counts as singular
 PIVOT_TOLERANCE = 1e-8
 DENSE = Status(
     "dense", "boundary elements have a dense factor, in double precision only", "use the linear solver"
@@ -39,23 +39,28 @@ INDEFINITE = Status(
 class BoundaryFormulation(DisplacementFormulation):
     """Stationary point of `1/2 u.S u - sum (dP + rho g delta_i) g_i.u_i - sum F_i.u_i` under `sum g_i.u_i = 0`.
 
-    S is the body's surface stiffness by symmetric Galerkin boundary elements: the work of the tractions of a
-    solid of shear modulus mu under u (see `vdm.boundary.operators`). Poisson's ratio 1/2 is VDM's fluid: it keeps
-    the volume, and dP is its pressure, the null vector of the single layer. A smaller ratio has no such
-    constraint; dP is then the mean pressure `-kappa (sum g_i.u_i) / V`. A fluid-filled cavity also has a
-    pressure, and keeps its volume.
-
-    Facets at the rim of the held nodes are cut (`vdm.boundary.rims`). They are not cut where numbers of tractions
-    (F,) are given: the facets are then cut already. Other nodes may be held later, at the mesh's own resolution.
-    The precision is that of a body of `precise_as` nodes, by default its own number.
+    S is the body's surface stiffness by symmetric Galerkin boundary elements: `u.S u` is the work of the tractions
+    of a solid with shear modulus mu under u (`vdm.boundary.operators`). At Poisson's ratio 1/2 the solid is VDM's
+    fluid: its volume is constant, and dP is its pressure, the null vector of the single layer. Smaller ratios have
+    no such constraint; dP is then the mean pressure `-kappa (sum g_i.u_i) / V`. A fluid-filled cavity has a
+    constant volume and a pressure too.
 
     The matrix is dense, with (3N)^2 numbers and a set-up of order N^3, on up to `MAX_NODES` nodes.
 
-    At large displacements this form is one of the parts of `vdm.parts.body`. S turns with the rotation Q that
-    best fits the part's surface: `E = 1/2 w.S w`, w = (positions) Q^T - (rest), with Q from
-    `sum a_i |x_i - X_i Q|^2`, areas a_i and arms X_i at rest. Q depends on the positions, so that the force is
-    `Q^T S w` less `lambda x (a_i X_i Q)`. These forces remove the moment of the first term: the internal force
-    has neither a resultant nor a moment. There S includes its `swelling`, where that is set.
+    At large displacements this form is one of the parts of `vdm.parts.body`. S turns with the rotation Q that best
+    fits the part's surface: `E = 1/2 w.S w`, w = (positions) Q^T - (rest). Q minimises `sum a_i |x_i - X_i Q|^2`,
+    with areas a_i and arms X_i at rest. Q depends on the positions, so the force is `Q^T S w` less `lambda x (a_i
+    X_i Q)`. The second term removes the moment of the first: the internal force has neither a resultant nor a
+    moment. If `swelling` is set, S includes it there.
+
+    Parameters
+    ----------
+    surface : the closed surface
+    parameters : material parameters
+    held : (N,) mask of the held nodes. Facets at their rims are cut (`vdm.boundary.rims`), unless `tractions` is
+        given. Nodes that are held later have the resolution of the mesh
+    precise_as : number of nodes whose floating-point precision to use; None for the body's own
+    tractions : (F,) number of the traction of each facet, of a surface that is cut at rims already
 
     Raises
     ------
@@ -116,7 +121,7 @@ class BoundaryFormulation(DisplacementFormulation):
 
     @cached_property
     def matrix(self) -> Array:
-        """(3N, 3N) S, made at first use; a body in parts never uses it."""
+        """(3N, 3N) S, assembled at first use; a body in several parts never uses it."""
         if self.surface.n_nodes > MAX_NODES:
             raise SolverError(too_large(self.surface.n_nodes))
         try:
@@ -125,15 +130,15 @@ class BoundaryFormulation(DisplacementFormulation):
             raise SolverError(INDEFINITE) from error
 
     def _refined(self, held: Mask) -> Array:
-        """(3N, 3N) S of the surface, cut along the rims of the held nodes."""
+        """(3N, 3N) S of the surface with facets cut along the rims of the held nodes, condensed to the N nodes."""
         near = np.concatenate([held, np.zeros(self.resolved.n_nodes - len(held), np.bool_)])
         return self._dense(self._rims, near)
 
     def _dense(self, rims: Rims, held: Mask) -> Array:
-        """(3N, 3N) S of a surface of N nodes, cut along its rims.
+        """(3N, 3N) S of a surface with N nodes that is cut along its rims.
 
-        In single precision facets share tractions: in the given numbering, by default in pairs away from the
-        `held` nodes (N + k,) of the cut surface.
+        Facets share tractions by their given numbers. Without numbers they do so in single precision only: in pairs
+        away from the `held` nodes (N + k,) of the cut surface.
         """
         # numba takes a third of a second to import
         from vdm.boundary.operators import Facets, precision, surface_stiffness
@@ -156,7 +161,7 @@ class BoundaryFormulation(DisplacementFormulation):
 
     @property
     def is_incompressible(self) -> bool:
-        """Whether the volume is kept, with a pressure as an unknown."""
+        """Whether the volume is constant, with the pressure as an unknown."""
         return self.poisson_ratio == 0.5
 
     @property
@@ -172,11 +177,11 @@ class BoundaryFormulation(DisplacementFormulation):
         return self.elastic_force(x) + self.ground_force(x)
 
     def elastic_force(self, x: Array) -> Array:
-        """S u, (N, 3); reads half of the matrix."""
+        """S u (N, 3) [N]; reads half of the matrix."""
         return np.asarray(blas.dsymv(1.0, self.matrix.T, x.reshape(-1), lower=1)).reshape(-1, 3)
 
     def elastic_forces(self, x: Array) -> Array:
-        """S u for k displacements (N, 3, k); reads the matrix once."""
+        """S u [N] for k displacements (N, 3, k); reads the matrix once."""
         force: Array = (self.matrix @ x.reshape(len(self.matrix), -1)).reshape(x.shape)
         return force
 
@@ -187,7 +192,7 @@ class BoundaryFormulation(DisplacementFormulation):
         return DenseFactor(self._grounded(self.matrix[np.ix_(dofs, dofs)], free))
 
     def projected(self, spread: sparse.csr_array) -> Array:
-        """(m, m) P^T S P of displacements P (3N, m)."""
+        """(m, m) Galerkin projection P^T S P on displacements P (3N, m)."""
         return np.asarray(spread.T @ (spread.T @ self.matrix).T)
 
     def stiffness(self) -> sparse.csr_array:
@@ -199,7 +204,7 @@ class BoundaryFormulation(DisplacementFormulation):
         return own if ground is None else own + ground.diagonal()
 
     def _grounded(self, block: Array, nodes: Mask) -> Array:
-        """A block of S over some nodes, with their springs added."""
+        """A block of S over some nodes, with their springs to the ground added."""
         if self.parameters.ground is not None:
             dofs = np.repeat(nodes, 3)
             springs = self.parameters.ground[dofs][:, dofs].tocoo()
@@ -220,11 +225,11 @@ class BoundaryFormulation(DisplacementFormulation):
         return self.surface.area_vectors
 
     def pressure_force(self, pressure: Array) -> Array:
-        """Force (N, 3) of weight, given as the hydrostatic pressure (N,) that would carry it.
+        """Nodal forces (N, 3) [N] of the weight, given as the hydrostatic pressure (N,) [Pa] that would carry it.
 
-        The stress -p I of a linear p = b . x balances a force b per volume. In a compressible body its strain
-        `-p I / (3 kappa)` belongs to the displacement `-((b . x) x - b |x|^2 / 2) / (3 kappa)`. The remaining
-        field has no force inside; its nodal forces are those of p and of that displacement.
+        The stress -p I of a linear p = b . x balances a body force b. In a compressible body its strain
+        `-p I / (3 kappa)` has the displacement `-((b . x) x - b |x|^2 / 2) / (3 kappa)`. The rest of the solution
+        has no body force, and its nodal forces are those of p and of that displacement.
         """
         arms = self.surface.points - self.surface.points.mean(axis=0)
         fitted = np.linalg.lstsq(np.column_stack([arms, np.ones(len(arms))]), pressure, rcond=None)[0]
@@ -236,7 +241,7 @@ class BoundaryFormulation(DisplacementFormulation):
         return force + self.elastic_force(moved)
 
     def pressed_at_rims(self) -> Array:
-        """(N, 3, 3) forces that the new nodes of rims add to those of the pressures x, y, z [N/(Pa/m)]."""
+        """(N, 3, 3) forces that new nodes at rims add under the pressures x, y, z [N/(Pa/m)]."""
         body, cut = self.surface, self.resolved
         if cut is body:
             return np.zeros((body.n_nodes, 3, 3))
@@ -247,7 +252,7 @@ class BoundaryFormulation(DisplacementFormulation):
         return self.carried(of_cut) - of_body
 
     def squeezed(self) -> Array:
-        """(N, 3, 3) displacements under the pressures x, y, z about the nodes' mean, per slope [m/(Pa/m)]."""
+        """(N, 3, 3) displacements under unit gradients of pressure, zero at the nodes' mean [m/(Pa/m)]."""
         arms = self.surface.points - self.surface.points.mean(axis=0)
         half = 0.5 * np.square(arms).sum(axis=1)[:, None, None] * np.eye(3)
         found: Array = (half - arms[:, :, None] * arms[:, None, :]) / (3.0 * self.bulk_modulus)
@@ -264,47 +269,48 @@ class BoundaryFormulation(DisplacementFormulation):
         return 0.5 * float(np.vdot(unturned, force) + np.vdot(x, self.ground_force(x)))
 
     def swollen_force(self, x: Array) -> Array:
-        """(N, 3) force S u, with its swelling, of a displacement in the body's rotated frame."""
+        """(N, 3) force S u [N], with the swelling if it is set, of a displacement in the body's rotated frame."""
         force = self.elastic_force(x)
         return force if self.swelling is None else force + self.swelling.forces(x)
 
     def swollen_forces(self, x: Array) -> Array:
-        """The same for k displacements (N, 3, k) at once."""
+        """`swollen_force` for k displacements (N, 3, k) at once."""
         force = self.elastic_forces(x)
         return force if self.swelling is None else force + self.swelling.forces(x)
 
     def swollen_block(self, rows: Index, columns: Index) -> Array:
-        """A block of S, with its swelling, by unknowns."""
+        """A block of S, with the swelling if it is set, between degrees of freedom `rows` and `columns`."""
         block: Array = self.matrix[np.ix_(rows, columns)]
         if self.swelling is not None:
             block += self.swelling.block(rows, columns)
         return block
 
     def unturned(self, state: DeformedSurface) -> tuple[Array, Array]:
-        """The best-fit rotation Q of the nodes, and the displacement after undoing it."""
+        """The best-fit rotation Q (3, 3) of the nodes, and their displacement (N, 3) [m] in its frame."""
         turn = state.rotation
         return turn, state.positions @ turn.T - state.body.rest
 
 
 @dataclass(frozen=True)
 class Swelling:
-    """Makes a uniform swelling X of a body free, `S_0 = S + U C U^T`, and charges for the change of volume instead.
+    """Replaces the volume change in S by the exact one: `S_0 = S + U C U^T` is zero for uniform swelling X.
 
-    S measures the flux `g.w` of a displacement w. Where something turns within the body, the flux differs from
-    the change of the polyhedron's volume V by a term of second order. The volume replaces it. With `g.X = 3 V`:
+    S measures the volume change by the flux `g.w` of a displacement w. If parts of the body rotate, the flux
+    differs from the change of the polyhedron's volume V by a term of second order. So V replaces it. With `g.X = 3
+    V`:
 
-    - nu = 1/2: S has no finite answer to a flux. `S_0 = P^T S P`, `P = I - X g^T / (3 V)`,
-      `U = [g / 3V, S X]`, `C = [[X.S X, -1], [-1, 0]]`. Where g.w is zero nothing changes. V is kept.
-    - smaller nu: `S_0 = S - S X X^T S / (X.S X)`, not negative, and `S = S_0 + b b^T / a` with
-      `b = 3 V S X / (X.S X)`, `a = (3 V)^2 / (X.S X)`. X gives a uniform pressure, so that b is g, up to errors
-      of quadrature and of a coarse body: `b = g + v`. The energy is `1/2 w.S_0 w + (V - V_0 + v.w)^2 / (2 a)`.
+    - nu = 1/2: S is infinite for a nonzero flux. `S_0 = P^T S P`, `P = I - X g^T / (3 V)`, `U = [g / 3V, S X]`,
+      `C = [[X.S X, -1], [-1, 0]]`. Nothing changes if g.w is zero. A pressure keeps V constant.
+    - smaller nu: `S_0 = S - S X X^T S / (X.S X)` is positive semi-definite, and `S = S_0 + b b^T / a` with
+      `b = 3 V S X / (X.S X)`, `a = (3 V)^2 / (X.S X)`. X causes a uniform pressure, so b is g, up to errors of
+      quadrature and of coarse meshes: `b = g + v`. The energy is `1/2 w.S_0 w + (V - V_0 + v.w)^2 / (2 a)`.
 
     Attributes
     ----------
     vectors : (3N, 2) or (3N, 1) U
     core : (2, 2) or (1, 1) C
     beyond : (N, 3) v [m^2], zero at nu = 1/2
-    give : a, volume per pressure [m^3/Pa], zero at nu = 1/2
+    give : a, volume over pressure [m^3/Pa], zero at nu = 1/2
     """
 
     vectors: Array
@@ -325,21 +331,21 @@ class Swelling:
         return cls(pulled.reshape(-1, 1), np.array([[-1.0 / work]]), beyond, flux**2 / work)
 
     def forces(self, x: Array) -> Array:
-        """Forces U C U^T x of displacements (N, 3) or (N, 3, k), same shape."""
+        """Forces U C U^T x [N] of displacements x (N, 3) or (N, 3, k), in the same shape."""
         flat = x.reshape(len(self.vectors), -1)
         return np.asarray(self.vectors @ (self.core @ (self.vectors.T @ flat))).reshape(x.shape)
 
     def block(self, rows: Index, columns: Index) -> Array:
-        """A block of U C U^T, by unknowns."""
+        """A block of U C U^T between degrees of freedom `rows` and `columns`."""
         return np.asarray((self.vectors[rows] @ self.core) @ self.vectors[columns].T)
 
     def pressure(self, x: Array) -> float:
-        """3 V times the pressure beside S less the one beside `S_0`, at a displacement (N, 3) [Pa m^3]."""
+        """3 V times the difference of the pressures with S and with S_0, at a displacement (N, 3) [Pa m^3]."""
         return 0.0 if self.give else float(self.vectors[:, 1] @ x.reshape(-1))
 
 
 class SwollenFactor:
-    """Factor of a block of S with its swelling, from the factor of S (Woodbury)."""
+    """Factor of a block of S with its swelling, from the factor of that block of S (Woodbury)."""
 
     def __init__(self, factor: Factor, swelling: Swelling, unknowns: Index) -> None:
         self._factor, self._vectors = factor, swelling.vectors[unknowns]
@@ -353,10 +359,10 @@ class SwollenFactor:
 
 
 def turned_back(force: Array, turns: Array, state: DeformedSurface, each: Sequence[slice]) -> Array:
-    """Elastic forces (N, 3) in space, from those in the rotated frames of bodies that lie one after another.
+    """Elastic forces (N, 3) in the world frame, from those in the rotated frames of several bodies.
 
-    Body b has the nodes each[b] and the best-fit rotation turns[b]. The energy also changes with Q:
-    `dQ = Q [omega]x` with `(tr P - P) omega = -sum levers x dx`, where `P = sum levers (x) positions` is symmetric.
+    Body b has the nodes each[b] and the best-fit rotation turns[b]. The energy also depends on Q:
+    `dQ = Q [omega]x` with `(tr P - P) omega = -sum levers x dx`. `P = sum levers (x) positions` is symmetric.
     The energy changes by `omega . sum positions x force`.
     """
     own, levers = (
@@ -369,13 +375,15 @@ def turned_back(force: Array, turns: Array, state: DeformedSurface, each: Sequen
     skew = products - products.transpose(0, 2, 1)
     twist = np.stack([skew[:, 1, 2], skew[:, 2, 0], skew[:, 0, 1]], axis=1)[:, :, None]
     pulls = np.linalg.solve(inertia, twist)[:, :, 0].tolist()
-    for (x, y, z), q, span in zip(pulls, turns, each, strict=True):  # less its vector product with each lever
+    for (x, y, z), q, span in zip(
+        pulls, turns, each, strict=True
+    ):  # subtract the cross product with each lever
         own[span] -= levers[span] @ (q @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]))
     return own
 
 
 def moments(arms: Array, vectors: Array, each: Sequence[slice]) -> Array:
-    """(m, 3, 3) sums of arm^T vector over the nodes each[b] of body b, with arms and vectors (N, 3)."""
+    """(m, 3, 3) sums of arms^T vectors over the nodes each[b] of body b; arms and vectors are (N, 3)."""
     return np.stack([arms[span].T @ vectors[span] for span in each])
 
 
@@ -391,13 +399,13 @@ def too_large(n_nodes: int) -> Status:
 class DenseFactor:
     """Cholesky factor of a symmetric positive definite dense matrix; its inverse for up to `INVERTED` unknowns.
 
-    A frame reads half of an inverse once, or half of a factor twice in turn. An inverse takes twice as long to
-    make as a factor: with `few` solutions it is not made.
+    A solve reads half of the inverse once, or half of the factor twice in turn. The inverse takes twice as long as
+    the factor, so for `few` solves it is not computed.
 
     Raises
     ------
     SolverError
-        a matrix that is not positive definite.
+        the matrix is not positive definite.
     """
 
     def __init__(self, matrix: Array, *, few: bool = False) -> None:
