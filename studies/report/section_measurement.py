@@ -16,7 +16,7 @@ from ..measures.case import CaseResult
 from ..measures.measurement import FORCE, STRAIGHT, InputSpread, Measurement, Quantity
 from ..measures.metrics import VECTOR
 from ..study.measured import AXES
-from ..verdict.digest import Digest
+from ..verdict.digest import SAME_NUMBERS, Digest
 from ..verdict.formatting import (
     NOTHING,
     input_name,
@@ -217,11 +217,11 @@ def inputs(digest: Digest) -> Section | None:
 
 
 def _moves_nothing(spread: InputSpread) -> list[str]:
-    """Inputs of regions' shapes that change no answer at all."""
+    """Inputs of regions' shapes that change no answer by more than rounding."""
     return [
         key
         for k, key in enumerate(spread.keys)
-        if key.startswith("regions.") and all(found.parts[k] == 0.0 for found in spread.models.values())
+        if key.startswith("regions.") and all(one.parts[k] <= SAME_NUMBERS for one in spread.models.values())
     ]
 
 

@@ -28,6 +28,7 @@ from .test_measured import GOOD, STUDY, ball, load
 __all__ = ["cache", "meshes"]
 
 E, NU, FORCE = "tissue.youngs_modulus", "tissue.poisson_ratio", "constraints.finger.force"
+BASE = "regions.base.below.fraction"
 KNOWN: dict[str, Any] = {E: {"sd": 500.0}, NU: {"range": [0.45, 0.49]}, FORCE: {"sd": 0.002}}
 
 
@@ -142,6 +143,16 @@ def test_the_table_says_where_the_error_is_below_what_is_not_known(spread: float
     section = inputs(Digest(make_run([case])))
     table = section.blocks[0]
     assert (table.rows[0][-1].detail == "below what is not known") == lost
+
+
+def test_a_region_that_moves_no_node_is_named_whatever_rounding_leaves() -> None:
+    """Answers solved side by side differ in the last digit."""
+    case = make_case({"fem-linear": 0.1}, reference="fem")
+    for key, part, told in ((BASE, 2.8e-15, True), (BASE, 0.01, False), (E, 0.0, False)):
+        spread = {"fem-linear": ModelSpread(0.1, 0.1, np.array([part]), 0.0)}
+        found = InputSpread([key], ["1"], np.array([0.2]), np.array([0.02]), spread)
+        _, said = inputs(Digest(make_run([dataclasses.replace(case, inputs=found)]))).blocks
+        assert (f"{key} moves none of this mesh" in said.text) == told
 
 
 def test_the_commented_table_of_a_new_study_is_right(tmp_path: Path) -> None:

@@ -235,6 +235,14 @@ def test_why_nothing_is_judged(run: Run, why: str, said_so: str) -> None:
     assert told(found)["notes"][0].startswith(said_so)
 
 
+def test_a_reference_whose_error_is_not_measured_is_told_beside_the_words() -> None:
+    """They take that error as none, on the terminal too."""
+    for known, said_so in ({}, True), (bars(0.01), False):
+        run = make_run([make_case({MODEL: 0.2}, reference_error=known, subdivisions=0)])
+        notes = told(verdicts(Digest(run)))["notes"]
+        assert any("own error is not measured" in note for note in notes) == said_so
+
+
 def test_a_load_that_no_case_reaches_is_the_one_reason_why_no_model_has_an_error() -> None:
     run = make_run([make_case({MODEL: 0.1}, stopped={REFERENCE: 1, MODEL: 1}, subdivisions=0)])
     first, *_ = told(verdicts(Digest(run)))["notes"]
