@@ -88,7 +88,7 @@ def _finite_strain(
 
     if SCANNED in scene.extras:
         return _scanned(scene, n_loads, path)
-    problem = FiniteStrainProblem(**_hyperelastic(scene, n_loads))
+    problem = FiniteStrainProblem(**hyperelastic(scene, n_loads))
     return SetUp(_at_finite_strain(scene, problem, problem.mesh, path))
 
 
@@ -106,7 +106,7 @@ def _scanned(scene: Scene, n_loads: int, path: LoadPath | None) -> SetUp:
     from fem_reference.finite_strain import FiniteStrainProblem
     from solver_common.jit import clock
 
-    start, given = clock(), _hyperelastic(scene, n_loads)
+    start, given = clock(), hyperelastic(scene, n_loads)
     problem = FiniteStrainProblem(**given)
     scanned, near = problem.mesh, None
 
@@ -173,7 +173,7 @@ def _contact(solution: Solution, force: Array, area: Array, **changed: Any) -> S
     return dataclasses.replace(solution, scalars=scalars, **changed)
 
 
-def _hyperelastic(scene: Scene, n_loads: int) -> dict[str, Any]:
+def hyperelastic(scene: Scene, n_loads: int) -> dict[str, Any]:
     return {**_body(scene), **_material(scene), "expected_loads": n_loads}
 
 
