@@ -92,9 +92,7 @@ def from_scan(
     rests = [status.ok and not load.acts for status, load in zip(solution.status, loads, strict=True)]
     statuses = solution.status
     if left > 0.0:
-        about = (
-            f"cut anew, the rest shape moves by {1e3 * left:.2g} mm, {100 * left / distance:.2g} % of its sag"
-        )
+        about = f"the rest shape is known to {1e3 * left:.2g} mm, {100 * left / distance:.2g} % of its sag"
         told = f"{about}: it depends on where the body is cut", "give vdm.parts = 1, or take fem"
         statuses = tuple(status.telling(*told) if status.ok else status for status in statuses)
     return dataclasses.replace(

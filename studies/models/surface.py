@@ -91,8 +91,11 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             if needed > number:  # the number of parts only grows, so the loop ends
                 least = needed
         solver().least = number
+        sagged = np.asarray(weighed.displacement[0])
+        if (error := weighed.scalars.get("parts_error", np.zeros(1))[0]) > 0.0:
+            search.doubt(error * sagged)
         seconds += clock() - began
-        return found, np.asarray(weighed.displacement[0])
+        return found, sagged
 
     def on_rest(load: SurfaceLoad) -> SurfaceLoad:
         """A load whose pressures are forces on the rest shape; they follow its surface."""

@@ -177,8 +177,8 @@ def _cut(triangles: Index, new: Index, points: Array, met: Index) -> Index:
     """Cut each facet with new nodes on two sides (F, 3; -1 for none) in three: a corner, and the rest in two.
 
     The diagonal of the rest depends on the mesh, and in a tie of `_met` (n, 2) on lengths: a body that sags keeps
-    its diagonals, and is led back to rest with them. Between the two of a mirror, equal but for what a search for the
-    rest shape leaves open, lengths do not choose.
+    its diagonals, and is led back to rest with them. Lengths do not choose between mirror images, equal but for
+    what a search for the rest shape leaves open.
     """
     is_cut = (new >= 0).any(axis=1)
     # the corner between the two sides comes first; side 0 is after corner 0

@@ -274,6 +274,18 @@ class Parts:
             self.problem = replace(problem, formulation=form)
             self.factor = BorderedFactor(self.problem)
 
+    def is_cut_alike(self, moved: Array) -> bool:
+        """Whether the body has the same parts, caps aside, if its nodes move by (N, 3) [m] before it is cut."""
+        whole = self.problem.formulation
+        surface, n = whole.surface, whole.surface.n_nodes
+        rim = _rim(surface, self.problem.support.held)
+        other = cut(surface.points + moved, surface.triangles, self.n_parts, rim).parts
+        own, others = (
+            [part[(part < n).all(axis=1)] for part in parts]
+            for parts in (self.cut.uncut or self.cut.parts, other)
+        )
+        return len(own) == len(others) and all(map(np.array_equal, own, others))
+
     def balance(self, load: Load, x: Array, pressure: Array) -> Balance:
         """As in `Large`."""
         problem, n_surface = self.problem, self.problem.formulation.surface.n_nodes

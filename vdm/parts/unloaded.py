@@ -202,7 +202,8 @@ class Unloading:
 
     Attributes
     ----------
-    open : largest step of a node when the search began to keep its cut [m]; 0 if it does not keep it
+    open : how far the rest shape depends on where it is cut [m]; 0 if it does not. First the largest step of a node
+        when the search began to keep its cut
     """
 
     def __init__(self, seen: Array, load: Load) -> None:
@@ -222,6 +223,13 @@ class Unloading:
         assert self._body is not None
         assert self._balance is not None
         return self._body.stiffness_left(self._balance.parts.seen)
+
+    def doubt(self, error: Array) -> None:
+        """Let `open` be at least an error (N, 3) of the sag [m] if it, added or taken away, changes the cut."""
+        body = self._body
+        assert body is not None
+        if self.open > 0.0 or not (body.is_cut_alike(error) and body.is_cut_alike(-error)):
+            self.open = max(self.open, float(np.linalg.norm(error, axis=1).max()))
 
     def cut(self, points: Array) -> Cut | None:
         """The cut to use for surface nodes (N, 3); None for a new one.
