@@ -402,7 +402,10 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
 
 
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
-    """Elements, or a surface model that is closer by more than the reference's error bar; else the reference."""
+    """Elements, or a surface model that is closer by more than the reference's error bar; else the reference.
+
+    No model where the reference's own error is beyond a limit too.
+    """
     if not elements and digest.reference == LINEAR:
         return Advice(EXACT, "elements", (digest.figures[LINEAR],))
     if not elements:
@@ -417,6 +420,8 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
     serving = _serving(digest, (*told, *surface))
     best = min(serving or [*told, *surface], key=share) if told else elements[0]
     reference = digest.reference
+    if told and not serving and bar > 1.0:
+        return Advice(EXACT, "none known")
     if told and reference is not None and not serving:
         return Advice(EXACT, "reference", (digest.figures[reference],))
     return Advice(EXACT, "closer surface" if best in surface else "elements", (digest.figures[best],))

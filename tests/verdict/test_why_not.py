@@ -323,6 +323,18 @@ def test_nobody_is_told_to_take_a_model_that_is_not_within_the_limits() -> None:
     ]
 
 
+def test_a_reference_whose_own_error_is_beyond_the_limits_is_not_one_to_take() -> None:
+    for bar, taken in (
+        (0.09, "fem, the reference: no other model here is within the limits"),
+        (0.11, "no model here, and the reference's own error is beyond the limits too: "),
+    ):
+        error = {"gci:relative_l2_displacement_error": bar}
+        case = make_case(
+            {"bem": 0.5, "fem-linear": 0.5}, reference="fem", reference_error=error, subdivisions=0
+        )
+        assert "".join(said("take", by_interaction(Digest(make_run([case])))[-1])).startswith(taken)
+
+
 def test_a_mesh_that_is_too_coarse_is_not_to_be_made_larger_for_its_time() -> None:
     errors = {"vdm-vector": 0.13, "fem-linear": 0.08}
     case = measured_anew(make_case(errors, reference="fem-linear refined", subdivisions=0))
