@@ -76,6 +76,8 @@ def _check_models(study: Study) -> Iterator[Finding]:
     for name in study.models:
         if name not in info.models:
             yield ("models", name), unknown(name, info.models, "model of this study")
+    if study.uncertainty is not None and info.reference is None:
+        yield ("uncertainty",), "decides nothing without study.reference; name one, or leave this out"
     if set(info.models) <= set(known):  # the keys of an unknown model are unknown
         yield from refusals(study, info.reference) if info.reference in info.models else ()
         yield from _check_read(study)

@@ -74,7 +74,7 @@ def load_study(
     base = first_case(data, axes)
     study, faults = validate(base, source)
     findings += [(told_at(axes, data, loc) if base is not data else loc, text) for loc, text in faults]
-    findings += _changed_in_vain(axes, changes, data)
+    findings += _changed_in_vain(axes, changes, data, surface)
     if study is None or findings:
         raise source.error(findings, base)
     expand(study)
@@ -82,10 +82,17 @@ def load_study(
 
 
 def _changed_in_vain(
-    axes: Sequence[Axis], changes: Sequence[Mapping[str, Any]], data: Mapping[str, Any]
+    axes: Sequence[Axis],
+    changes: Sequence[Mapping[str, Any]],
+    data: Mapping[str, Any],
+    surface: Path | None,
 ) -> Iterator[Finding]:
-    """Changes of a key that every case of the sweep replaces."""
+    """Changes of a key that every case of the sweep replaces, or the surface; this is a change itself."""
     paths = {".".join(path) for change in changes for path, _ in changed(change)}
+    given = {"geometry.shape", "geometry.path"} if surface is not None else set()
+    for key in sorted(given & paths):
+        yield tuple(key.split(".")), "is that of the surface given; leave the change or the surface out"
+    paths |= given
     for axis in axes:
         if axis.key in paths and data["sweep"].get("mode") != STAR:
             told = f"is swept, so that a change decides nothing; change sweep.{shown(axis.key)} instead"
@@ -189,8 +196,8 @@ def _with_surface(data: Mapping[str, Any], surface: Path, asked: Sequence[Sequen
         is_file = geometry.get("shape") == "file"
         own = {"mesh_size", "size", *(path[1] for path in asked if path[0] == "geometry" and len(path) > 1)}
         kept = {key: value for key, value in geometry.items() if is_file or key in own}
-        if isinstance(kept.get("size"), list):
-            del kept["size"]
+        if isinstance(kept.get("size"), list) and ["geometry", "size"] not in map(list, asked):
+            del kept["size"]  # of a box
     kept |= {"shape": "file", "path": str(surface.absolute())}
     if isinstance(study, dict) and is_safe_name(name := study.get("name")):
         # names of scans differ at their ends

@@ -184,6 +184,15 @@ def test_a_surface_given_beside_the_study_replaces_the_geometry(tmp_path: Path) 
     }
     with pytest.raises(StudyError, match="give size or scale, not both"):
         load_study(path, surface=surface, changes=[{"geometry": {"scale": 0.01}}])
+    for key, value, told in (
+        ("shape", "box", "geometry.shape: is that of the surface given; leave the change or"),
+        ("path", "other.obj", "geometry.path: is that of the surface given"),
+        ("size", [0.1, 0.1, 0.1], "geometry.size: "),
+    ):
+        with pytest.raises(StudyError, match=told):
+            load_study(path, surface=surface, changes=[{"geometry": {key: value}}])
+    with pytest.raises(StudyError, match="is swept, so that a change decides nothing"):
+        load_study(path, surface=surface, changes=[{"sweep": {"geometry.path": [str(surface)]}}])
     link = outside / "link.obj"
     link.symlink_to(surface)
     assert resolved(expand(load_study(path, surface=link))[0].study)["geometry"] == expected
