@@ -13,7 +13,7 @@ import math
 import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -294,6 +294,7 @@ def compare(run: Run, was: Baseline, whose: str = "the baseline") -> list[Findin
     now, name = baseline_of(run), run.study.study.name
     if whose == "the baseline" and was.study != name:
         raise BaselineError(f"the baseline is of study {was.study!r}, the run of {name!r}")
+    was = _named_as(was, now)
     # the label of a failure is for people: in a study of one case it is the study's name
     failed = {
         ONLY_CASE if failure["label"] == name else failure["label"]: failure["message"]
@@ -319,6 +320,13 @@ def compare(run: Run, was: Baseline, whose: str = "the baseline") -> list[Findin
     if all(f.metric for f in findings) and any(f.outcome in _COMPARED for f in findings):
         findings += _compare_verdicts(was, now)
     return findings
+
+
+def _named_as(was: Baseline, now: Baseline) -> Baseline:
+    """The baseline, its cases named as those of the run with the same inputs: older labels told lengths in m."""
+    gone, new = was.cases.keys() - now.cases.keys(), now.cases.keys() - was.cases.keys()
+    names = {old: one for old in gone for one in new if was.inputs_of(old) == now.inputs_of(one)}
+    return replace(was, cases={names.get(label, label): entry for label, entry in was.cases.items()})
 
 
 def _compare_verdicts(was: Baseline, now: Baseline) -> Iterator[Finding]:

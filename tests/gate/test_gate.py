@@ -192,6 +192,15 @@ def test_more_and_less_than_the_baseline() -> None:
         compare(make_run([CASE], name="cube"), BASE)
 
 
+def test_a_case_that_is_named_otherwise_is_the_same_case() -> None:
+    """Labels told lengths in m once; a baseline of then was "the run has no such case"."""
+    swept = [of_study(dataclasses.replace(CASE, label=f"{E}", hash=f"{E}"), _stiff(E)) for E in (1e3, 2e3)]
+    was = gate.baseline_of(make_run(swept))
+    now = [dataclasses.replace(case, label=f"E = {case.label}") for case in swept]
+    assert set(counts(findings(*now, was=was))) == {gate.SAME}
+    assert gate.MISSING in counts(findings(now[0], was=was))
+
+
 def test_accepting_needs_a_reason_a_whole_run_and_a_place_that_is_a_baseline_s(tmp_path: Path) -> None:
     run, path = make_run([CASE]), tmp_path / "b.json"
     for broken, reason, message in (
