@@ -34,6 +34,7 @@ from vdm.surface import SurfaceMesh
 from .body.mesh_cache import mesh_from_cache
 from .body.refine import refined
 from .body.surface_measures import relative_l2, relative_l2_steps, weighted_norm
+from .machine import write_atomically
 from .measures.metrics import History as Moved
 from .measures.metrics import along, volume_drift_of_displaced
 from .measures.reference import level_scene, restricted
@@ -711,8 +712,8 @@ def _cells(row: Row) -> dict[str, str]:
 
 
 def write_points(points: DataFrame, path: Path) -> None:
-    """Write the points as CSV, to 6 digits. Raises OSError."""
-    points.to_csv(path, index=False, float_format="%.6g")
+    """Write the points as CSV, to 6 digits, whole or not at all. Raises OSError."""
+    write_atomically(path, points.to_csv(index=False, float_format="%.6g").encode())
 
 
 def read_points(path: Path) -> DataFrame:

@@ -90,7 +90,10 @@ def try_claims(options: argparse.Namespace) -> int:
     points = claims.read_points(options.points) if options.points else None
     if options.out:  # what cannot be written is told before minutes of measuring
         options.out.parent.mkdir(parents=True, exist_ok=True)
+        is_new = not options.out.exists()
         options.out.open("a").close()
+        if is_new:
+            options.out.unlink()
     if points is None:
         points = claims.measure(options.cache or cache_directory(), numbers, tell)
     if options.out:

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from unittest import mock
 
 import pandas as pd
 import pytest
@@ -122,6 +123,9 @@ def test_a_file_that_cannot_be_written_is_told_before_anything_is_measured(tmp_p
     assert failed.stderr.splitlines() == ["vdmbench: .: Is a directory"]
     assert vdmbench("claims", "--from", "no.csv", "--out", "no.csv", cwd=tmp_path).returncode == 2
     assert not (tmp_path / "no.csv").exists()
+    with mock.patch("vdmbench.claims.measure", side_effect=KeyboardInterrupt):
+        assert vdmbench("claims", "1", "--out", "cut.csv", cwd=tmp_path).returncode == 130
+    assert not list(tmp_path.glob("*.csv")), "nor is anything left where it is interrupted"
     done = vdmbench("claims", "5", "--from", str(STORED), "--out", "new/points.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "new/points.csv").read_text().startswith("claim,")
