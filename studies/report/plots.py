@@ -112,6 +112,7 @@ _BEYOND_HUNDREDTHS = re.compile(r"(?<=\d\.\d\d)\d+")
 _MOST_TICKS = 16
 _MOST_NAMED = 8  # most curves with names beside them; the legend always has all
 _LETTER, _HIGH, _GAP = 4.5, 8.5, 4.0  # width of a letter, height of a name, distance from its curve [points]
+_MARK = 2.3  # half of a marker [points]
 _MOST_MARKED = 25  # most points of a line with markers
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 LINES = ("-", "--", "-.", ":")
@@ -366,18 +367,16 @@ def name_ticks(axes: Axes, ticks: Sequence[tuple[float, str]]) -> None:
 def name_curves(axes: Axes) -> None:
     """Write the names of curves above or below their last points, if nothing else is drawn there."""
     named = [curve for curve in axes.lines if not str(curve.get_label()).startswith("_")]
+    axes.apply_aspect()
+    _move_level_names(axes, named)
     curves = [curve for curve in named if curve.get_linestyle() != "None"]
     if not 1 < len(curves) <= _MOST_NAMED:
         return
-    axes.apply_aspect()
     pixels = axes.figure.dpi / 72.0  # per point
-    frame, drawn = (
-        axes.get_window_extent(),
-        np.concatenate([_drawn(curve, between=True) for curve in axes.lines]),
-    )
     taken: list[Bbox] = [text.get_window_extent() for text in axes.texts]  # names of level lines
+    drawn = _drawn(axes.lines)
     for curve in curves:
-        own = _drawn(curve, between=False)
+        _, own = _drawn([curve])
         if not len(own):
             continue
         right, middle = own[np.argmax(own[:, 0])]
@@ -385,8 +384,7 @@ def name_curves(axes: Axes) -> None:
         for up in (True, False):
             low = middle + (pixels * _GAP if up else -pixels * _GAP - height)
             box = Bbox.from_bounds(right - width, low, width, height)
-            inside = frame.x0 <= box.x0 and frame.y0 <= box.y0 and box.y1 <= frame.y1
-            if inside and not box.count_overlaps(taken) and not box.count_contains(drawn):
+            if _is_free(axes, box, taken, *drawn):
                 taken.append(box)
                 at = axes.transData.inverted().transform((right, middle))
                 look: Any = {"ha": "right", "va": "bottom" if up else "top", "fontsize": 7.4}
@@ -395,10 +393,37 @@ def name_curves(axes: Axes) -> None:
                 break
 
 
-def _drawn(curve: Line2D, *, between: bool) -> Array:
-    """(K, 2) pixels of a curve's points; with `between`, also of places on the line that joins them."""
-    path = curve.get_transform().transform_path(curve.get_path())
-    if between and curve.get_linestyle() != "None" and len(path) > 1:
-        path = path.interpolated(20)
-    places = np.asarray(path.vertices)
-    return places[np.isfinite(places).all(axis=1)]
+def _move_level_names(axes: Axes, curves: Sequence[Line2D]) -> None:
+    """Names of level lines along x go to the end and the side of their line where nothing is drawn, if any."""
+    places: Any = [(x, ha, va) for va in ("bottom", "top") for x, ha in ((0.995, "right"), (0.005, "left"))]
+    taken: list[Bbox] = []
+    drawn = _drawn(curves)
+    for text in (text for text in axes.texts if not text.get_rotation()):
+        for x, ha, va in (*places, places[0]):
+            text.set(x=x, ha=ha, va=va)
+            if _is_free(axes, text.get_window_extent(), taken, *drawn):
+                break
+        taken.append(text.get_window_extent())
+
+
+def _is_free(axes: Axes, box: Bbox, taken: Sequence[Bbox], drawn: Array, points: Array) -> bool:
+    """Whether a name fits into a box of pixels: inside the axes, on no other name, no line and no marker."""
+    frame, marker = axes.get_window_extent(), box.padded(axes.figure.dpi / 72.0 * _MARK)
+    inside = frame.x0 <= box.x0 and frame.y0 <= box.y0 and box.y1 <= frame.y1
+    return inside and not (
+        box.count_overlaps(taken) or box.count_contains(drawn) or marker.count_contains(points)
+    )
+
+
+def _drawn(curves: Sequence[Line2D]) -> tuple[Array, Array]:
+    """(K, 2) pixels of what curves draw, places between points that a line joins too; and (L, 2) of the points."""
+    drawn, points = [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for curve in curves:
+        path = curve.get_transform().transform_path(curve.get_path())
+        points.append(np.asarray(path.vertices))
+        if curve.get_linestyle() != "None" and len(path) > 1:
+            path = path.interpolated(60)
+        drawn.append(np.asarray(path.vertices))
+    found = [np.concatenate(parts) for parts in (drawn, points)]
+    drawn_at, points_at = (places[np.isfinite(places).all(axis=1)] for places in found)
+    return drawn_at, points_at

@@ -4,9 +4,12 @@ import html
 import json
 import re
 
+import pytest
+from matplotlib.figure import Figure as Canvas
+
 from tests.report.runs import make_case, make_run
 from vdmbench.report.blocks import Figures
-from vdmbench.report.plots import Curve, lines, percent_axis
+from vdmbench.report.plots import Curve, level_line, lines, name_curves, percent_axis
 from vdmbench.report.section_charts import errors
 from vdmbench.verdict.digest import Digest
 
@@ -42,3 +45,24 @@ def test_where_the_mesh_size_is_swept_the_order_of_each_error_is_told() -> None:
     ]
     section = errors(Digest(make_run(cases)))
     assert "in the mesh size: m 1.50 and n 0.00" in section.blocks[0].text
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "place"),
+    [
+        ([0, 1], [0.5, 0.5], ("right", "bottom")),
+        ([0.5, 1], [0.1, 0.12], ("left", "bottom")),
+        ([0, 1], [0.115, 0.115], ("right", "top")),
+    ],
+)
+def test_the_name_of_a_level_is_where_no_curve_is(
+    x: list[float], y: list[float], place: tuple[str, str]
+) -> None:
+    """ "reference's own" was struck by the curve that ended there."""
+    axes = Canvas(figsize=(4.4, 3.0)).add_subplot()
+    axes.plot(x, y, label="m")
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    level_line(axes, 0.1, "accepted", "-.")
+    name_curves(axes)
+    (name,) = (text for text in axes.texts if text.get_text() == "accepted")
+    assert (name.get_horizontalalignment(), name.get_verticalalignment()) == place
