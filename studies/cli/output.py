@@ -35,10 +35,15 @@ def print_run(run: Run, directory: Path, report: Path, as_json: bool) -> int:
     if as_json:
         print_json({"directory": str(directory), "report": str(report)} | found)
     else:
+        from ..verdict.words import WHY
+
         print_table(table)
         print_answers(found["answers"])
         complain_of_failures(run)
+        why = found["answers"]["further"].get(WHY, [])
         for one in found["stopped"]:
+            if any(text.startswith(f"{one['model']}: ") and one["message"] in text for text in why):
+                continue
             told = f"stopped: {one['model']} ({one['where']}): {one['message']}"
             print(folded(told + (f"; {one['remedy']}" if one["remedy"] else "")))
         lost = f", {run.damaged} damaged" if run.damaged else ""

@@ -14,7 +14,7 @@ from ..measures.metrics import METRICS, VECTOR
 from ..study.checks import only_load
 from ..study.errors import plural
 from ..study.registry import Family
-from ..verdict.digest import DRIFT, Digest, failed_steps
+from ..verdict.digest import DRIFT, Digest, failed_steps, first_failed
 from ..verdict.formatting import (
     NOTHING,
     capital,
@@ -239,9 +239,7 @@ def stopped_models(digest: Digest) -> list[Stopped]:
     found: dict[tuple[str, str, str], list[str]] = {}
     for case in digest.cases:
         for model, result in case.models.items():
-            failed, own = failed_steps(result), case.study.load.history
-            # before a step of the study may lie a load at which another model stopped
-            for step in [k for k in failed if case.load_factors[k] in own][:1] or failed[:1]:
+            for step in first_failed(case, model):
                 status, factor = result.status[step], float(case.load_factors[step])
                 reason = (model, status.message or status.code, status.remedy)
                 found.setdefault(reason, []).append(f"{digest.case_name(case)}, load factor {factor:g}")

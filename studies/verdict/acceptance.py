@@ -145,6 +145,7 @@ class UpTo:
     depth : least indentation of the reference at that load over the cases [m]; NaN if not known
     least, most : the smallest and the largest load of the study
     open : whether the next load is undecided, not beyond the limits
+    some : whether a case is within the limits at a load
     """
 
     load: float
@@ -153,6 +154,7 @@ class UpTo:
     least: float
     most: float
     open: bool
+    some: bool
 
     @property
     def none(self) -> bool:
@@ -221,4 +223,5 @@ def up_to(known: KnownLoads, states: States) -> UpTo | None:
         least=float(loads[0]),
         most=float(loads[starts[-1]]),
         open=within < len(starts) and int(worst[within]) == OPEN,
+        some=bool((states == WITHIN).any()),
     )

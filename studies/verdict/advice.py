@@ -14,7 +14,7 @@ from ..measures.case import CaseResult
 from ..study.registry import FINITE_STRAIN, Family, is_linear, is_surface, lacks, split
 from ..study.schema import extras_for, has_weight
 from .acceptance import BEYOND, FRAME_TIME, LOST, OPEN, WITHIN, Criterion
-from .digest import Digest, Figures, failed_steps, median_known
+from .digest import Digest, Figures, first_failed, median_known
 
 MODEL, LEFT_OUT, SMALL_STRAIN, MESH = "model", "left out", "small strain", "mesh"
 COMPRESSIBILITY = "compressibility"
@@ -115,6 +115,16 @@ class Shortfall:
                 found[c] = min(1.0, max(known))
         return found
 
+    @property
+    def mesh_is_enough(self) -> bool:
+        """Whether every broken limit would be kept without what the mesh takes of the error."""
+        own, coarse = self.mesh_shares(), str(self.digest.coarse_reference)
+        return all(
+            self._at(self.model, c, None) * (1.0 - own.get(c, 0.0)) <= c.allowed
+            or self._at(self.model, c, None) - self._at(coarse, c, None) <= c.allowed
+            for c in self.broken
+        )
+
     @cached_property
     def elements(self) -> str | None:
         """The first compared model with linear elements; it may be the model itself."""
@@ -198,12 +208,13 @@ def no_answer(shortfall: Shortfall) -> Iterator[Reason]:
     """The model stops before full load in some cases; with the first message."""
     digest, model = shortfall.digest, shortfall.model
     lost = [digest.cases[k] for k in np.flatnonzero(digest.standing(model) == LOST).tolist()]
-    results = [case.models[model] for case in lost if model in case.models]
-    statuses = [result.status[step] for result in results for step in failed_steps(result)[:1]]
-    if statuses:
-        first = statuses[0]
-        about = {"cases": len(digest.cases), "message": first.message or first.code, "remedy": first.remedy}
-        yield Reason(NO_ANSWER, {"cases": float(len(lost))}, about)
+    for case in (case for case in lost if model in case.models):
+        for step in first_failed(case, model):
+            status = case.models[model].status[step]
+            told = {"message": status.message or status.code, "remedy": status.remedy}
+            about = {"cases": len(digest.cases), "first": digest.case_name(case), **told}
+            yield Reason(NO_ANSWER, {"cases": float(len(lost))}, about)
+            return
 
 
 def the_model(shortfall: Shortfall) -> Iterator[Reason]:
@@ -268,10 +279,11 @@ def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
 def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
     """The mesh: the reference's own elements have such an error on it, or the model's estimate of it is large."""
     coarse = shortfall.digest.coarse_reference
+    helps = {"enough": shortfall.mesh_is_enough}
     if coarse is not None and shortfall.part(coarse) >= HALF:
-        yield Reason(MESH, shortfall.errors(coarse), {"elements": coarse})
+        yield Reason(MESH, shortfall.errors(coarse), {"elements": coarse, **helps})
     elif shortfall.mesh_part() >= HALF:
-        yield Reason(MESH, {"share": max(shortfall.mesh_shares().values())})
+        yield Reason(MESH, {"share": max(shortfall.mesh_shares().values())}, helps)
 
 
 def the_reference(shortfall: Shortfall) -> Iterator[Reason]:
@@ -351,7 +363,8 @@ def by_interaction(digest: Digest) -> tuple[Advice, ...]:
     surface = _answered(digest, filter(is_surface, digest.compared))
     elements = _answered(digest, digest.families[Family.ELEMENTS])
     moving = [_moving(digest, surface), _cutting(digest, surface)] if surface else []
-    resting = [] if _refuses(CONDENSED, digest) else [_resting(digest)]
+    contact = any(part.kind == "contact" for case in digest.cases for part in case.study.constraints)
+    resting = [_resting(digest)] if contact and not _refuses(CONDENSED, digest) else []
     return (*resting, *moving, _exact(digest, surface, elements))
 
 
@@ -365,7 +378,8 @@ def _resting(digest: Digest) -> Advice:
 
     On one contact region, every linear model costs the same small matrix product per frame.
     """
-    for name in (CONDENSED, LINEAR):
+    apart = CONDENSED in digest.run.study.study.homogeneous  # without the inclusions of fem-linear
+    for name in (LINEAR,) if apart else (CONDENSED, LINEAR):
         if name in digest.compared and math.isfinite(digest.shares(name).max(initial=0.0)):
             if digest.usual_share(name) > 1.0:
                 return _none(RESTING, digest)
@@ -373,7 +387,7 @@ def _resting(digest: Digest) -> Advice:
             if name == LINEAR:  # condensed elements have other times
                 within = int((digest.at_full(digest.worst_states(name, of_load=True)) == WITHIN).sum())
                 found = replace(found, frame=math.nan, set_up=math.nan, within=within)
-            return Advice(RESTING, "condensed", (found,))
+            return Advice(RESTING, "linear" if apart else "condensed", (found,))
     return Advice(RESTING, "condensed")
 
 
@@ -381,24 +395,22 @@ def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
     """The surface model with the least error whose frame is in time: with loads everywhere, if measured."""
     limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.nan)
     known = {name: digest.figures[name] for name in _serving(digest, surface)}
-    times = {
-        name: one.everywhere if math.isfinite(one.everywhere) else one.frame for name, one in known.items()
-    }
-    quick = [name for name in known if math.isnan(limit) or times[name] <= limit]
+    quick = [name for name, one in known.items() if math.isnan(limit) or one.anywhere <= limit]
     if not quick:
         return _none(MOVING, digest, limit)
-    closest = _closest(digest, quick)
-    return Advice(MOVING, "closest surface", (replace(known[closest], frame=times[closest]),), allowed=limit)
+    closest = known[_closest(digest, quick)]
+    return Advice(MOVING, "closest surface", (replace(closest, frame=closest.anywhere),), allowed=limit)
 
 
 def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
-    """A cut needs a new set-up: the surface model with the fastest one, and the one with the least error."""
+    """A cut needs a new set-up: the surface model with the fastest first answer, and the one with the least error."""
     serving = _serving(digest, surface)
     if not serving:
         return _none(CUTTING, digest)
-    first = min(serving, key=lambda name: digest.figures[name].set_up)
-    names = dict.fromkeys([first, _closest(digest, serving)])
-    return Advice(CUTTING, "set-up", tuple(digest.figures[name] for name in names))
+    known = [digest.figures[name] for name in serving]
+    anew = {one.model: replace(one, set_up=one.set_up + one.anywhere, frame=math.nan) for one in known}
+    names = dict.fromkeys([min(serving, key=lambda name: anew[name].set_up), _closest(digest, serving)])
+    return Advice(CUTTING, "set-up", tuple(anew[name] for name in names))
 
 
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:

@@ -61,6 +61,12 @@ def failed_steps(model: ModelResult) -> list[int]:
     return [step for step, status in enumerate(model.status) if not status.ok]
 
 
+def first_failed(case: CaseResult, model: str) -> list[int]:
+    """The first step of the study that failed, else the first failed one: others may stop at loads between; or none."""
+    failed, own = failed_steps(case.models[model]), case.study.load.history
+    return [step for step in failed if case.load_factors[step] in own][:1] or failed[:1]
+
+
 @dataclass(frozen=True)
 class Spread:
     """A measure over the cases that have it: median and worst, each with the error bar of the reference."""
@@ -116,6 +122,11 @@ class Figures:
     same: bool = False
     within: int = 0
     cases: int = 0
+
+    @property
+    def anywhere(self) -> float:
+        """Time of an answer to a load anywhere: a frame with all nodes loaded, where that was measured [s]."""
+        return self.everywhere if math.isfinite(self.everywhere) else self.frame
 
 
 @dataclass(frozen=True)

@@ -305,6 +305,8 @@ def _reservations(digest: Digest, models: Sequence[str]) -> Iterator[Remark]:
         for name in dict.fromkeys([*(models or digest.models), str(case.reference)]):
             if (result := case.models.get(name)) is None:
                 continue
+            if name != case.reference and not result.status[case.full_load].ok:
+                continue  # why it stops is told
             told = _of_steps(case.load_factors, result.status)
             own = reading(case, name) if name in models else None
             if own is not None and not own.ok and not failed_steps(result):

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from tests.report.runs import (
     of_model,
     sweep_run,
 )
+from vdmbench.cli.output import print_run
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.study.config import resolved
 from vdmbench.study.registry import family_of
@@ -188,6 +190,19 @@ def test_what_is_said_of_a_part_of_the_load_names_it() -> None:
     found = verdicts(Digest(make_run([of_model(case, MODEL, status=status)]))).reservations
     texts = {one.text for one in set(found) - set(before)}
     assert texts == {"at 75 % of the load slightly doubtful", "wrong"}
+
+
+def test_a_model_that_stops_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:
+    """Its reservation at a smaller load, why it has no answer, and why it stopped were three paragraphs."""
+    case = make_case({MODEL: 0.01, "bem": 0.01}, subdivisions=1, stopped={MODEL: 3})
+    doubtful = Status("converged", "doubtful")
+    status = (doubtful, doubtful, doubtful, case.models[MODEL].status[3])
+    run = make_run([of_model(case, MODEL, status=status)])
+    assert Remark(MODEL, "at 75 % of the load doubtful", 1) not in verdicts(Digest(run)).reservations
+    print_run(run, Path("runs"), Path("runs/report.html"), as_json=False)
+    printed = capsys.readouterr().out
+    assert printed.count("the volume could not be held") == 1
+    assert f"{MODEL}: no answer: the volume could not be held." in printed
 
 
 def test_answers_that_nothing_judges_have_their_reservations() -> None:

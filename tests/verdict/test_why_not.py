@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.report.runs import asked, make_case, make_run, measured_anew
+from tests.report.runs import asked, make_case, make_run, measured_anew, of_model
 from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR, History, evaluate
 from vdmbench.verdict.advice import (
@@ -19,6 +19,7 @@ from vdmbench.verdict.advice import (
     NO_ANSWER,
     NOT_TOLD,
     REFERENCE,
+    RESTING,
     SMALL_STRAIN,
     TIME,
     Reason,
@@ -344,6 +345,22 @@ def test_a_mesh_that_is_too_coarse_is_not_to_be_made_larger_for_its_time() -> No
     assert found[TIME].endswith("Allow more: a larger geometry.mesh_size would add to the errors.")
 
 
+@pytest.mark.parametrize(("error", "enough"), [(0.17, True), (0.19, False)])
+def test_a_finer_mesh_is_advised_where_without_the_mesh_the_limits_are_kept(
+    error: float, enough: bool
+) -> None:
+    """The mesh takes 8 % of which 10 are allowed; of what is 98 % off a finer one takes nothing away."""
+    case = make_case(
+        {"vdm-vector": error, "fem-linear": 0.08}, reference="fem-linear refined", subdivisions=0
+    )
+    found = told(make_run([case], reference="fem-linear"))[MESH]
+    assert ("A smaller geometry.mesh_size takes that away." in found) is enough
+    far = growing({"bem": (0.2, 0.2, 0.2)}, reference="fem-linear")
+    for left, own in ((0.12, True), (0.08, False)):
+        case = of_model(far, "bem", scalars={"shape_error": np.full(3, left)})
+        assert ("A smaller" in told(make_run([case]), "bem")[MESH]) is own
+
+
 def test_a_frame_that_takes_too_long_is_told() -> None:
     case = measured_anew(make_case({"vdm-vector": 0.01, "fem-condensed": 0.02}, subdivisions=0))
     run = make_run([case], acceptance={"frame_time": 3e-4})  # they take 0.4 and 0.8 ms
@@ -355,6 +372,19 @@ def test_a_frame_that_takes_too_long_is_told() -> None:
     moving = found.take[1]
     assert (moving.kind, moving.allowed, moving.model) == ("none", 3e-4, "")
     assert causes(make_run([case], acceptance={"frame_time": 5e-4})) == {}
+
+
+def test_cases_within_at_some_load_are_not_said_to_be_within_at_none() -> None:
+    def reached(*cases: CaseResult) -> str:
+        (text,) = said("reached", verdicts(Digest(make_run(cases)))["vdm-derived"])
+        return text.partition(" (")[0]
+
+    near, far, falling = (growing({"vdm-vector": e}) for e in ((0.02,) * 3, (0.2,) * 3, (0.2, 0.1, 0.05)))
+    assert reached(far) == "not within 10 % at any load tried"
+    assert reached(far, dataclasses.replace(near, hash="near")) == (
+        "not within 10 % in every case even at the smallest of the loads tried"
+    )
+    assert reached(falling) == "not within 10 % even at the smallest of the loads tried"
 
 
 def test_the_case_in_which_a_cause_was_seen_is_named_and_none_of_what_is_told_of_all_cases() -> None:
@@ -371,6 +401,40 @@ def test_the_case_in_which_a_cause_was_seen_is_named_and_none_of_what_is_told_of
     )
     assert causes(slow).keys() == {TIME}, "the longest of all cases"
     assert verdicts(Digest(slow))["vdm-derived"].seen_in == ""
+
+
+def test_the_time_of_a_cut_is_the_set_up_with_the_first_answer_and_no_frame_of_the_contact() -> None:
+    case = measured_anew(make_case({"bem": 0.02}, reference="fem", subdivisions=0))
+    frames = case.models["bem"].frames
+    assert frames is not None
+    cutting = verdicts(Digest(make_run([case]))).take[2]
+    (taken,) = cutting.take
+    assert taken.set_up == pytest.approx(np.median(frames.setup) + np.median(frames.everywhere), rel=1e-9)
+    assert np.isnan(taken.frame)
+    (text,) = said("instead", cutting)
+    assert "per frame" not in text
+
+
+def test_condensed_elements_that_leave_out_a_lump_say_nothing_of_linear_ones_that_know_it() -> None:
+    """Of a study with a tumour: "linear elements are not within the limits", and fem-linear was in all cases."""
+    errors = {"fem-condensed": 0.3, "fem-linear": 0.02}
+    case = make_case(errors, reference="fem", subdivisions=0)
+    run = make_run([case])
+    assert said("take", by_interaction(Digest(run))[0]) == ["linear elements are not within the limits"]
+    info = run.study.study.model_copy(update={"homogeneous": ("fem-condensed",)})
+    run = dataclasses.replace(run, study=run.study.model_copy(update={"study": info}))
+    resting = by_interaction(Digest(run))[0]
+    assert (resting.model, resting.kind) == ("fem-linear", "linear")
+    assert said("take", resting) == ["elements condensed to that region; as far off as fem-linear"]
+
+
+def test_a_contact_that_stays_is_no_row_of_a_study_without_a_contact() -> None:
+    case = make_case({"bem": 0.02, "fem-linear": 0.02}, reference="fem", subdivisions=0)
+    assert by_interaction(Digest(make_run([case])))[0].interaction == RESTING
+    alone = asked(case, constraints=[{"kind": "fixed", "region": "base"}])
+    found = [one.interaction for one in by_interaction(Digest(make_run([alone])))]
+    assert RESTING not in found
+    assert found[-1] == EXACT
 
 
 def test_condensed_elements_are_not_advised_for_what_they_refuse() -> None:
