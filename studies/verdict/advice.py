@@ -403,7 +403,7 @@ def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
 
 
 def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
-    """A cut needs a new set-up: the surface model with the fastest first answer, and the one with the least error."""
+    """A cut needs a new set-up: the surface model that answers first after it, and the one with the least error."""
     serving = _serving(digest, surface)
     if not serving:
         return _none(CUTTING, digest)

@@ -62,7 +62,7 @@ def failed_steps(model: ModelResult) -> list[int]:
 
 
 def first_failed(case: CaseResult, model: str) -> list[int]:
-    """The first step of the study that failed, else the first failed one: others may stop at loads between; or none."""
+    """The first step of the study that failed, else the first of all; loads of other models may lie before it."""
     failed, own = failed_steps(case.models[model]), case.study.load.history
     return [step for step in failed if case.load_factors[step] in own][:1] or failed[:1]
 
