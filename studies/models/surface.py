@@ -88,7 +88,7 @@ def _scanned(scene: Scene, name: str) -> SetUp:
             if not weighed.status[0].ok:
                 raise SolverError(weighed.status[0])
             needed = solver().body.n_parts
-            if needed > number:  # the number of parts only grows, so the loop ends
+            if needed > number:  # later rounds have at least as many
                 least = needed
         solver().least = number
         sagged = np.asarray(weighed.displacement[0])
@@ -200,16 +200,9 @@ def _model(
     from vdm.model import Model
 
     base, solver = split(name)
-    formulation, mesh, fibres, given = (
-        base.removeprefix("vdm-"),
-        scene.mesh,
-        scene.anisotropy,
-        scene.parameters,
-    )
+    formulation, mesh, given = base.removeprefix("vdm-"), scene.mesh, scene.parameters
     own_ratio = base in ("bem", "bem-sparse") and given.get("compressibility") != "fluid"
-    chosen: dict[str, Any] = {
-        name: value for name, value in given.items() if name not in _NOT_OF_THE_MATERIAL
-    }
+    chosen: dict[str, Any] = {k: value for k, value in given.items() if k not in _NOT_OF_THE_MATERIAL}
 
     def parameters(surface: SurfaceMesh) -> Parameters:
         rule = Parameters.from_tissue(
@@ -229,7 +222,7 @@ def _model(
             whole = dataclasses.replace(whole, fluid_in_cavities=True)
         if scene.inclusions:
             whole = dataclasses.replace(whole, lumps=_lumps(scene, own_ratio))
-        if fibres is not None:
+        if fibres := scene.anisotropy:
             whole = whole.anisotropic(surface, fibres.fibre_direction, fibres.contrast)
         return whole if springs is None else _on_springs(whole, springs, surface, formulation)
 

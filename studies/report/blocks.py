@@ -40,7 +40,7 @@ class Cell:
     text: str
     detail: str = ""
     value: float | None = None
-    tone: str = ""  # "bad" or "muted"
+    tone: str = ""  # "good", "bad" or "muted"
 
     @property
     def exact(self) -> float | None:

@@ -174,9 +174,11 @@ class Parts:
         self.free = np.ones(n, np.bool_)
         self.free[: len(held)] = ~held
         fixed = ~self.free
-        uses = np.zeros(n, np.int64)
-        for triangles in self.cut.parts:
+        uses, owner = np.zeros(n, np.int64), np.zeros(n, np.int64)
+        for number, triangles in enumerate(self.cut.parts):
             uses[np.unique(triangles)] += 1
+            owner[triangles] = number
+        self.owner = owner[: surface.n_nodes]
         self._ground = whole.parameters.ground
         shared = uses > 1
         if self._ground is not None:
@@ -189,11 +191,6 @@ class Parts:
             sprung = np.flatnonzero(shared[: surface.n_nodes])
             at = dofs(place[sprung])
             self._ground_joining[np.ix_(at, at)] = self._ground[dofs(sprung)][:, dofs(sprung)].toarray()
-        # a load that follows the surface turns with the owner of its node
-        self.owner = np.zeros(n, np.int64)
-        for number, triangles in enumerate(self.cut.parts):
-            self.owner[triangles] = number
-        self.owner = self.owner[: surface.n_nodes]
         parameters = replace(whole.parameters, ground=None, fluid_in_cavities=False)
         of_shell = np.zeros(n, np.int64)  # 0 for nodes of caps, so that facets of caps are no cavity walls
         of_shell[surface.triangles] = surface.shells[:, None]
@@ -220,9 +217,7 @@ class Parts:
                     own, parameters, fixed[nodes], surface.n_nodes, tractions=tractions[number]
                 )
             form.swelling = Swelling.of(form)
-            owns = np.zeros(len(nodes), np.bool_)
-            on_surface = nodes < surface.n_nodes
-            owns[on_surface] = self.owner[nodes[on_surface]] == number
+            owns = (nodes < surface.n_nodes) & (owner[nodes] == number)
             inner = self.free[nodes] & ~shared[nodes]
             part = condensed(
                 form, nodes, inner, shared[nodes], owns, walls, place[nodes[shared[nodes]]], block
@@ -573,7 +568,7 @@ class Parts:
         for (part, span), q in zip(self._each(), before.parts.turns, strict=True):
             y = before.parts.state.positions[span] @ q.T
             y, moved = y - part.areas @ y, change[span] @ q.T
-            turn = np.einsum("nak,na->k", _turn_of(part.body.levers, y), moved)
+            turn = np.einsum("nak,na->k", turn_of(part.body.levers, y), moved)
             away[span] += moved - np.cross(turn, y)
         return np.asarray(away)
 
@@ -603,7 +598,7 @@ class Parts:
         inverse = np.zeros((6, 6))
         inverse[:3, 3:] = inverse[3:, :3] = np.eye(3)
         inverse[3:, 3:] = 0.5 * (met + met.T)
-        return np.concatenate([_turn_of(levers, y), slope], axis=2), inverse
+        return np.concatenate([turn_of(levers, y), slope], axis=2), inverse
 
     def _joined_at(self, turns: Array) -> Array:
         """Factorise the shared nodes' stiffness at rotations (m, 3, 3); returns the rotations that the factor has.
@@ -698,14 +693,11 @@ def least_eigenvalue(apply: Callable[[Array], Array], start: Array) -> float:
     return float(np.linalg.eigvals(projected[:count]).real.min())
 
 
-def inverse_inertia(stretch: Array) -> Array:
-    """(3, 3) M^-1 of the head of this file: moment -> rotation; `stretch` (3, 3) is P."""
-    return np.asarray(np.linalg.inv(np.trace(stretch) * np.eye(3) - stretch))
-
-
-def _turn_of(levers: Array, y: Array) -> Array:
+def turn_of(levers: Array, y: Array) -> Array:
     """(n, 3, 3) W of the head of this file: nodes that move by dy turn the part by sum W^T dy."""
-    return np.einsum("kb,nab->nak", inverse_inertia(levers.T @ y), (levers @ TURNED).reshape(-1, 3, 3))
+    stretch = levers.T @ y
+    inverse = np.linalg.inv(np.trace(stretch) * np.eye(3) - stretch)
+    return np.einsum("kb,nab->nak", inverse, (levers @ TURNED).reshape(-1, 3, 3))
 
 
 def turned_block(matrix: Array, q: Array, p: Array) -> Array:

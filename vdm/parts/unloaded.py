@@ -22,7 +22,7 @@ from solver_common.arrays import Array
 from solver_common.solution import NO_REST_SHAPE
 from vdm.constraints import Load
 from vdm.deformed import DeformedSurface, best_rotation
-from vdm.parts.body import BORDER, TURNED, Parts, inverse_inertia, turned_block
+from vdm.parts.body import BORDER, TURNED, Parts, turn_of, turned_block
 from vdm.parts.cut import Cut
 from vdm.parts.part import dofs
 from vdm.parts.solve import PartsSolver, inside
@@ -133,10 +133,8 @@ class Unloaded(Parts):
             pushes[part.places[:, None], :, at] += np.einsum("ncj,cd->njd", pushed, q)
             joined = reading[c] - (follows @ read).reshape(-1, 3, len(at))
             reads[part.places[:, None], :, at] += np.einsum("ncj,dc->njd", joined, g)
-        read, together = (
-            reads.reshape(3 * n, size),
-            np.column_stack([right.reshape(-1), pushes.reshape(3 * n, size)]),
-        )
+        read = reads.reshape(3 * n, size)
+        together = np.column_stack([right.reshape(-1), pushes.reshape(3 * n, size)])
         if n:
             together = linalg.lu_solve(linalg.lu_factor(matrix, check_finite=False), together)
         system = corner - read.T @ together[:, 1:]
@@ -166,11 +164,7 @@ class Unloaded(Parts):
         z = resting.placed[span]
         turned = np.concatenate([(arms @ TURNED).reshape(-1, 3, 3) for arms in (z, y)], axis=2)
         stressed = part.form.swollen_forces(turned)
-        levers, weighted = part.body.levers, part.areas[:, None] * y
-        follows, turning = (
-            np.einsum("kb,nab->nak", inverse_inertia(arms.T @ other), (own @ TURNED).reshape(-1, 3, 3))
-            for arms, other, own in ((levers, y, levers), (weighted, z, weighted))
-        )
+        follows, turning = turn_of(part.body.levers, y), turn_of(part.areas[:, None] * y, z)
         pressed = (acting.gradient[span] @ q.T)[:, :, None]
         filled = np.einsum("nck,dc->ndk", acting.filled[span], q)
         pushing = np.concatenate([pressed, -stressed[:, :, :3], -follows, filled], axis=2)

@@ -365,10 +365,8 @@ def turned_back(force: Array, turns: Array, state: DeformedSurface, each: Sequen
     `dQ = Q [omega]x` with `(tr P - P) omega = -sum levers x dx`. `P = sum levers (x) positions` is symmetric.
     The energy changes by `omega . sum positions x force`.
     """
-    own, levers = (
-        np.concatenate([force[span] @ q for span, q in zip(each, turns, strict=True)]),
-        state.body.levers,
-    )
+    own = np.concatenate([force[span] @ q for span, q in zip(each, turns, strict=True)])
+    levers = state.body.levers
     stretch = turns.transpose(0, 2, 1) @ moments(levers, state.positions, each)
     products = moments(state.positions, own, each)
     inertia = np.trace(stretch, axis1=1, axis2=2)[:, None, None] * np.eye(3) - stretch
