@@ -285,7 +285,8 @@ def level_line(axes: Axes, at: float, name: str, style: str, axis: str = "y") ->
         else:
             axes.axvline(at, linestyle=style, color=colour(REFERENCE), linewidth=1.0)
             looks |= {"va": "top", "rotation": 90}
-            axes.text(at, 0.99, name, transform=axes.get_xaxis_transform(), **looks)
+            beside: Any = {"xytext": (-1.5, 0.0), "textcoords": "offset points", **looks}
+            axes.annotate(name, (at, 0.99), xycoords=axes.get_xaxis_transform(), **beside)
 
 
 def from_origin(axes: Axes) -> None:
@@ -368,7 +369,7 @@ def name_curves(axes: Axes) -> None:
     """Write the names of curves above or below their last points, if nothing else is drawn there."""
     named = [curve for curve in axes.lines if not str(curve.get_label()).startswith("_")]
     axes.apply_aspect()
-    _move_level_names(axes, named)
+    _move_level_names(axes)
     curves = [curve for curve in named if curve.get_linestyle() != "None"]
     if not 1 < len(curves) <= _MOST_NAMED:
         return
@@ -393,11 +394,12 @@ def name_curves(axes: Axes) -> None:
                 break
 
 
-def _move_level_names(axes: Axes, curves: Sequence[Line2D]) -> None:
-    """Names of level lines along x go to the end and the side of their line where nothing is drawn, if any."""
+def _move_level_names(axes: Axes) -> None:
+    """Names of level lines along x go to the end and the side of their line where nothing else is drawn, if any."""
     places: Any = [(x, ha, va) for va in ("bottom", "top") for x, ha in ((0.995, "right"), (0.005, "left"))]
     taken: list[Bbox] = []
-    drawn = _drawn(curves)
+    levels = [str(line.get_label()).startswith("_") and not np.ptp(line.get_ydata()) for line in axes.lines]
+    drawn = _drawn([line for line, level in zip(axes.lines, levels, strict=True) if not level])
     for text in (text for text in axes.texts if not text.get_rotation()):
         for x, ha, va in (*places, places[0]):
             text.set(x=x, ha=ha, va=va)

@@ -66,3 +66,14 @@ def test_the_name_of_a_level_is_where_no_curve_is(
     name_curves(axes)
     (name,) = (text for text in axes.texts if text.get_text() == "accepted")
     assert (name.get_horizontalalignment(), name.get_verticalalignment()) == place
+
+
+def test_the_name_of_a_level_is_not_struck_by_a_level_across_it() -> None:
+    axes = Canvas(figsize=(4.4, 3.0)).add_subplot()
+    axes.plot([0, 1], [0.5, 0.5], label="m")
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    level_line(axes, 0.9, "screen", ":", "x")
+    level_line(axes, 0.1, "accepted", "-.")
+    name_curves(axes)
+    (name,) = (text for text in axes.texts if text.get_text() == "accepted")
+    assert name.get_horizontalalignment() == "left"
