@@ -160,7 +160,9 @@ def refused(plan: Plan, cases: Sequence[PlannedCase]) -> list[str]:
             size = _size(plan.meshes[mesh]) if most else None
             if most and size is not None and size.nodes > most:
                 told = f"{name} on a mesh of about {size.nodes:,.0f} surface nodes, more than its {most:,}"
-                found[f"{told}; use a larger mesh_size, or leave the model out"] = None
+                sparse = f"{model.name}-sparse"
+                instead = f" or {sparse}" if sparse in models.all_models() else ""
+                found[f"{told}; use a larger mesh_size{instead}, or leave the model out"] = None
     return list(found)
 
 

@@ -43,6 +43,7 @@ def test_what_cuts_a_body_into_parts_is_not_held_to_the_nodes_of_one(tmp_path: P
     geometry = TABLES["geometry"] | {"mesh_size": 0.001}
     lines = summary(plan_of(tmp_path, tmp_path, study=study, geometry=geometry, uncertainty=None))["refused"]
     assert [line.split()[0] for line in lines] == ["bem"]
+    assert lines[0].endswith("; use a larger mesh_size or bem-sparse, or leave the model out")
 
 
 def test_a_check_tells_who_will_refuse_inclusions_that_touch(tmp_path: Path) -> None:
