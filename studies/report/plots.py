@@ -395,7 +395,7 @@ def name_curves(axes: Axes) -> None:
 
 
 def _move_level_names(axes: Axes) -> None:
-    """Names of level lines along x go to the end and the side of their line where nothing else is drawn, if any."""
+    """Move the names of horizontal level lines to a free end and side of their line, if there is one."""
     places: Any = [(x, ha, va) for va in ("bottom", "top") for x, ha in ((0.995, "right"), (0.005, "left"))]
     taken: list[Bbox] = []
     levels = [str(line.get_label()).startswith("_") and not np.ptp(line.get_ydata()) for line in axes.lines]
@@ -409,7 +409,7 @@ def _move_level_names(axes: Axes) -> None:
 
 
 def _is_free(axes: Axes, box: Bbox, taken: Sequence[Bbox], drawn: Array, points: Array) -> bool:
-    """Whether a name fits into a box of pixels: inside the axes, on no other name, no line and no marker."""
+    """Whether a box of pixels has room for a name: inside the axes, without other names, lines or markers."""
     frame, marker = axes.get_window_extent(), box.padded(axes.figure.dpi / 72.0 * _MARK)
     inside = frame.x0 <= box.x0 and frame.y0 <= box.y0 and box.y1 <= frame.y1
     return inside and not (
@@ -418,7 +418,7 @@ def _is_free(axes: Axes, box: Bbox, taken: Sequence[Bbox], drawn: Array, points:
 
 
 def _drawn(curves: Sequence[Line2D]) -> tuple[Array, Array]:
-    """(K, 2) pixels of what curves draw, places between points that a line joins too; and (L, 2) of the points."""
+    """(K, 2) pixels along curves, with their lines if they have one; and (L, 2) pixels of their points."""
     drawn, points = [np.zeros((0, 2))], [np.zeros((0, 2))]
     for curve in curves:
         path = curve.get_transform().transform_path(curve.get_path())

@@ -117,7 +117,7 @@ class Shortfall:
 
     @property
     def mesh_is_enough(self) -> bool:
-        """Whether every broken limit would be kept without what the mesh takes of the error."""
+        """Whether the model would keep every broken limit without the mesh's share of its error."""
         own, coarse = self.mesh_shares(), str(self.digest.coarse_reference)
         return all(
             self._at(self.model, c, None) * (1.0 - own.get(c, 0.0)) <= c.allowed
@@ -416,7 +416,7 @@ def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
     """Elements, or a surface model that is closer by more than the reference's error bar; else the reference.
 
-    No model where the reference's own error is beyond a limit too.
+    None if no model is within the limits and the reference's error bar is beyond a limit too.
     """
     if not elements and digest.reference == LINEAR:
         return Advice(EXACT, "elements", (digest.figures[LINEAR],))

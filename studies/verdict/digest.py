@@ -62,7 +62,10 @@ def failed_steps(model: ModelResult) -> list[int]:
 
 
 def first_failed(case: CaseResult, model: str) -> list[int]:
-    """The first step of the study that failed, else the first of all; loads of other models may lie before it."""
+    """The first failed step with a load of the study, else the first failed step; [] if none failed.
+
+    Steps with other loads exist where another model stopped.
+    """
     failed, own = failed_steps(case.models[model]), case.study.load.history
     return [step for step in failed if case.load_factors[step] in own][:1] or failed[:1]
 
@@ -125,7 +128,7 @@ class Figures:
 
     @property
     def anywhere(self) -> float:
-        """Time of an answer to a load anywhere: a frame with all nodes loaded, where that was measured [s]."""
+        """Time of a frame with all nodes loaded if that was measured, else of a frame of the contact [s]."""
         return self.everywhere if math.isfinite(self.everywhere) else self.frame
 
 

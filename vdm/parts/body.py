@@ -270,7 +270,7 @@ class Parts:
             self.factor = BorderedFactor(self.problem)
 
     def is_cut_alike(self, moved: Array) -> bool:
-        """Whether the body has the same parts, caps aside, if its nodes move by (N, 3) [m] before it is cut."""
+        """Whether a cut gives the same parts, apart from caps, after the body's nodes moved by (N, 3) [m]."""
         whole = self.problem.formulation
         surface, n = whole.surface, whole.surface.n_nodes
         rim = _rim(surface, self.problem.support.held)

@@ -196,8 +196,8 @@ class Unloading:
 
     Attributes
     ----------
-    open : how far the rest shape depends on where it is cut [m]; 0 if it does not. First the largest step of a node
-        when the search began to keep its cut
+    open : how far the rest shape depends on the place of the cut [m]; 0 if it does not. It starts as the largest
+        step of a node when the search began to keep its cut
     """
 
     def __init__(self, seen: Array, load: Load) -> None:
@@ -219,7 +219,7 @@ class Unloading:
         return self._body.stiffness_left(self._balance.parts.seen)
 
     def doubt(self, error: Array) -> None:
-        """Let `open` be at least an error (N, 3) of the sag [m] if it, added or taken away, changes the cut."""
+        """Raise `open` to an error (N, 3) of the sag [m], if adding or subtracting the error changes the cut."""
         body = self._body
         assert body is not None
         if self.open > 0.0 or not (body.is_cut_alike(error) and body.is_cut_alike(-error)):
