@@ -18,7 +18,8 @@ from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error
 from ..measures.pushed import Answer, Pushed
 from ..scene.result import LEAST_ROUNDS, ModelResult
 from ..study.loads import Constraint
-from ..study.schema import Study
+from ..study.registry import SCANNED
+from ..study.schema import Study, extras_of, has_weight
 
 NODAL, FRAME_TIME = max_nodal_error.__name__, "frame_time"
 # how a model stands against a limit; of several limits the largest state decides
@@ -181,7 +182,8 @@ class KnownLoads:
 def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> KnownLoads:
     """The load of each step: that of the case's only contact, or of the only thing that pushes it.
 
-    The reference's answer gives load and depth. If the cases have no common unit, loads are shares of the full
+    The reference's answer gives load and depth, which is not known where the sag under a weight, or what moves the
+    body elsewhere, is in it. If the cases have no common unit, loads are shares of the full
     load, in the unit "1".
     """
     units, curves = set(), []
@@ -191,7 +193,11 @@ def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> Kno
         alone = len(chosen) == 1 and reference is not None
         units.add(chosen[0].unit if alone else "1")
         nothing = np.full(len(case.load_factors), math.nan)
-        curves.append(chosen[0].curve(Answer.of(reference)) if alone and reference else (nothing, nothing))
+        depths, loads = chosen[0].curve(Answer.of(reference)) if alone and reference else (nothing, nothing)
+        sags = has_weight(case.study) and SCANNED not in extras_of(case.study)
+        if alone and chosen[0].constraint.kind == "contact" and (sags or len(every) > 1):
+            depths = nothing
+        curves.append((depths, loads))
     unit = units.pop() if len(units) == 1 else "1"
     rows = []
     for k, (case, (depths, loads)) in enumerate(zip(cases, curves, strict=True)):

@@ -220,6 +220,16 @@ def test_a_history_tells_the_load_up_to_which_a_model_is_within() -> None:
     reached = verdict(make_run([of_metric(case, MODEL, name, growing)])).up_to
     assert (reached.load, reached.unit, reached.all) == (pytest.approx(0.25), "N", False)
     assert reached.depth == pytest.approx(1e-3, rel=0.05)
+    gravity = {"acceleration": [0.0, 0.0, -9.81]}
+    moved = {"kind": "constrained", "region": "base", "displacement": [0.0, 0.0, 1e-3]}
+    one = of_metric(case, MODEL, name, growing)
+    for tables, known in (
+        ({"gravity": gravity}, False),  # the sag is in the displacement
+        ({"gravity": gravity | {"scanned": True}}, True),
+        ({"constraints": [*resolved(case.study)["constraints"], moved]}, False),  # and so is its motion
+    ):
+        depth = verdict(make_run([asked(one, **tables)])).up_to.depth
+        assert math.isfinite(depth) == known
     whole, none = (verdict(make_run([make_case({MODEL: e})])).up_to for e in (0.05, 0.2))
     assert (whole.all, none.none) == (True, True)
     assert verdict(make_run([make_case({MODEL: math.nan})])).up_to is None  # it answers at no load
