@@ -27,7 +27,7 @@ from vdm.peers.bem import BoundaryFormulation, DenseFactor, Swelling, SwollenFac
 from vdm.peers.bem_sparse import SparseFormulation
 from vdm.solution import SolverError, Status
 from vdm.solvers.linear import LinearSolver
-from vdm.solvers.nonlinear import DeformedStep, NonlinearSolver
+from vdm.solvers.nonlinear import Balance, DeformedStep, NonlinearSolver
 
 Array = np.ndarray
 E, LENGTH, SIDE = 3e4, 0.1, 0.01
@@ -231,22 +231,68 @@ def test_a_bar_pressed_along_has_the_stiffness_that_its_load_of_buckling_leaves(
     assert solver.body.stiffness_left(step.balance) == pytest.approx(1.0 - share, abs=0.08)
 
 
+def column(share: float, parts: int) -> Model:
+    """Upright, under a share of the weight that it buckles under, Greenhill's 7.84 E I / L^2."""
+    body = box(counts=(12, 2, 2), size=(0.12, 0.02, 0.02))
+    weight = share * 0.653 * E * (0.02 / 0.12) ** 2 / 0.12
+    return clamped(body, parts=parts, poisson_ratio=0.45, density=1.0, gravity=(-weight, 0, 0))
+
+
 @pytest.mark.parametrize("parts", [1, 2])
 @pytest.mark.parametrize("share", [0.8, 1.2])
 def test_a_column_that_stays_straight_stands_up_to_the_weight_that_it_buckles_under(
     parts: int, share: float
 ) -> None:
-    """Greenhill's, 7.84 E I / L^2; few corrections find it straight beyond too, where it does not stay."""
-    points, triangles = box(counts=(12, 2, 2), size=(0.12, 0.02, 0.02))
-    weight = share * 0.653 * E * (0.02 / 0.12) ** 2 / 0.12
-    column = clamped(
-        (points, triangles), parts=parts, poisson_ratio=0.45, density=1.0, gravity=(-weight, 0, 0)
-    )
-    solution = column.solve([Load(np.zeros(len(points)))])
+    """Few corrections find it straight beyond too, where it does not stay."""
+    model = column(share, parts)
+    solution = model.solve([Load(np.zeros(model.surface.n_nodes))])
     assert solution.status[0].ok == (share < 1.0)
     assert ("that was found is not stable" in solution.status[0].message) == (share > 1.0)
     reached = solution.scalars.get("load_factor", np.ones(1))[0]
     assert share * reached == pytest.approx(min(share, 1.0), abs=0.1)
+
+
+@pytest.mark.parametrize(("share", "is_known"), [(0.9, True), (1.1, False)])
+def test_no_answer_is_held_against_an_unstable_one_of_twice_the_parts(share: float, is_known: bool) -> None:
+    """Of a bar pressed along by a share of Euler's load: in one part it stands up to more than in two."""
+    side = LENGTH / 8.0
+    body = box(counts=(16, 2, 2), size=(LENGTH, side, side))
+    euler = np.pi**2 * E * side**4 / 48.0 / LENGTH**2
+    solution = clamped(body, parts=1).solve([at_tip(body[0], np.array([-share * euler, 0.0, 0.0]))])
+    assert solution.status[0].ok
+    assert np.isfinite(solution.scalars["parts_error"][0]) == is_known
+
+
+def test_no_balance_is_examined_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a column that buckles, in a step that fails after all of its balances were examined."""
+    examined, seen = Parts.stiffness_left, list[Balance]()
+
+    def watched(body: Parts, balance: Balance) -> float:
+        seen.append(balance)
+        return examined(body, balance)
+
+    monkeypatch.setattr(Parts, "stiffness_left", watched)
+    solver = column(1.2, 1).solver
+    load = Load(np.zeros(solver.problem.formulation.surface.n_nodes))
+    assert isinstance(solver, PartsSolver)
+    step, _ = solver.audited(load, solver.step(load))
+    assert not step.status.ok
+    assert len({id(balance) for balance in seen}) == len(seen) > 1
+
+
+@pytest.mark.parametrize("ratio", [0.45, 0.499, 0.5])
+def test_a_pressure_from_all_sides_is_as_easy_in_parts_as_in_one(ratio: float) -> None:
+    """Beyond the modulus, which no tangent of parts is exact for; an incompressible body does not move."""
+    pressure = 0.3 * E if ratio < 0.49 else 4.0 * E
+    ball = icosphere(2, (0.05, 0.05, 0.05))
+    load = Load(np.full(len(ball[0]), pressure))
+    steps = [clamped(ball, 0.1, parts=parts, poisson_ratio=ratio).solver.step(load) for parts in (1, 2, 4)]
+    moved = np.abs(steps[0].displacement).max()
+    for step in steps:
+        assert step.status.ok
+        assert step.iterations <= 10
+        assert step.pressure_change == pytest.approx(pressure, rel=0.02 if ratio < 0.5 else 1e-9)
+        assert_allclose(step.displacement, steps[0].displacement, rtol=0.0, atol=0.05 * moved + 1e-14)
 
 
 def test_a_step_that_fails_holds_a_stable_balance_too() -> None:

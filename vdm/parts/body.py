@@ -37,7 +37,7 @@ from solver_common.arrays import Array, Index, Mask
 from vdm.boundary.rims import on_edges
 from vdm.boundary.tractions import shared as shared_tractions
 from vdm.constraints import Load
-from vdm.deformed import DeformableSurface, DeformedSurface, best_rotation
+from vdm.deformed import DeformableSurface, DeformedSurface, best_rotation, follow
 from vdm.formulations.base import Factor
 from vdm.parts.cut import Cut, along_longest_axis, cut
 from vdm.parts.joined import JoinedFormulation
@@ -75,11 +75,12 @@ class _Acting:
     turns : (m, 3, 3) rotations Q of the parts
     away : (n_p, 3) displacement w in each part's frame [m]
     energy : elastic energy of the parts [J]
-    on_surface : (N, 3) forces on the body's surface that turn with it: contact [N]
+    on_surface : (N, 3) forces on the body's surface that turn with it: contact less its level [N]
     weight : (n_p,) pressure of the weight, zero at the mean position of each part [Pa]
     rise : (m, 3) gradient of that pressure [Pa/m]
     datum : (m,) pressure of the weight at those means, zero at the highest point of the body at rest [Pa]
     gradient : (n_p, 3) gradient of the volumes that the pressures keep, with that of `Swelling` [m^2]
+    pressure : (m + c,) pressures, those of the parts with the level of the load [Pa]
     inward : (n_p, 3) forces in each part's frame from swelling and from compression by the weight [N]
     squeezed : (m + c,) volume that the weight compresses each part by, zero for other volumes [m^3]
     filled : (n_p, 3, c) gradient of the further volumes: fluid-filled cavities and bulges at rims [m^2]
@@ -94,6 +95,7 @@ class _Acting:
     rise: Array
     datum: Array
     gradient: Array
+    pressure: Array
     inward: Array
     squeezed: Array
     filled: Array
@@ -128,8 +130,8 @@ class Parts:
     """A boundary-element body, cut into `count` parts; a `vdm.solvers.nonlinear.Large`.
 
     The nodes of the problem's surface come first, then those inside. A single part is the problem's own
-    formulation. The pressures are those of the parts, then those of the fluid-filled cavities, then that of the
-    rims.
+    formulation. The pressures are those of the parts less the level of the load (`_levelled`), then those of the
+    fluid-filled cavities, then that of the rims.
 
     Parameters
     ----------
@@ -295,8 +297,10 @@ class Parts:
         energy = 0.5 * float(np.vdot(away, forces))
         energy += 0.5 * float((grown[:m] ** 2 / np.where(self.give[:m], self.give[:m], np.inf)).sum())
         rise, weight, datum = self._weight(load, state, volumes)
-        inward, squeezed = self._inward(pressure, rise, turns)
-        gap = (grown + self.give * pressure - squeezed) / self.volumes
+        level, contact = self._levelled(load)
+        inside = pressure + level * (np.arange(len(pressure)) < m)
+        inward, squeezed = self._inward(inside, rise, turns)
+        gap = (grown + self.give * inside - squeezed) / self.volumes
         internal = np.asarray(self._sum @ turned_back(forces + inward, turns, state, self._spans))
         pushed = (pressure[self._part] + weight)[:, None] * state.area_vectors
         pushed += filled @ pressure[m:]
@@ -304,10 +308,10 @@ class Parts:
             pushed += (under_rims @ (turns[0] @ rise[0])) @ turns[0]
         applied = np.asarray(self._sum @ pushed)
         outer = problem.body.at(x[:n_surface], turns[0] if m == 1 else turns[self.owner])
-        on_surface = problem.deformed_force(replace(load, weight=0.0), outer, outer.area_vectors)
+        on_surface = follow(contact, problem.formulation.surface.area_vectors, outer)
         applied[:n_surface] += on_surface
         if load.dead_force is not None:
-            on_surface = on_surface - load.dead_force
+            applied[:n_surface] += load.dead_force
         if self._ground is not None:
             internal[:n_surface] += (self._ground @ x[:n_surface].reshape(-1)).reshape(-1, 3)
         scale = max(float(np.linalg.norm(force[self.free])) for force in (internal, applied))
@@ -316,9 +320,35 @@ class Parts:
             placed = [self._beyond[span] @ q for span, q in zip(self._spans, turns, strict=True)]
             gradient = gradient + np.concatenate(placed)
         acting = _Acting(
-            state, turns, away, energy, on_surface, weight, rise, datum, gradient, inward, squeezed, filled
+            state,
+            turns,
+            away,
+            energy,
+            on_surface,
+            weight,
+            rise,
+            datum,
+            gradient,
+            inside,
+            inward,
+            squeezed,
+            filled,
         )
         return Balance(load, x, pressure, gap, internal - applied, scale, acting)
+
+    def _levelled(self, load: Load) -> tuple[float, Array]:
+        """Level of a load [Pa] and its contact forces (N, 3) at rest without it [N].
+
+        The level is the pressure that acts on all free nodes at least, or the tension. Such a pressure equals the
+        same pressure in all parts less that of the rims. Left out of both, its forces at the cuts neither cancel
+        only to rounding, nor enter the tangent, which is inexact there once a pressure exceeds the modulus.
+        """
+        form = self.problem.formulation
+        vectors, contact = form.surface.area_vectors, form.contact_force(self.problem.support.signed(load))
+        along, squares = (np.einsum("nc,nc->n", vectors, other) for other in (contact, vectors))
+        pressure = -(along / squares)[self.free[: len(vectors)]]
+        level = max(float(pressure.min()), 0.0) + min(float(pressure.max()), 0.0)
+        return level, contact + level * vectors
 
     def _weight(self, load: Load, state: DeformedSurface, volumes: Array) -> tuple[Array, Array, Array]:
         """`rise`, `weight` and `datum` of `_Acting`; a part keeps its mass, so its density follows its volume."""
@@ -634,7 +664,7 @@ class Parts:
         # tractions
         give = self.give[:m]
         above = np.where(give > 0.0, acting.squeezed[:m] / np.where(give > 0.0, give, 1.0), acting.datum)
-        return float(((balance.pressure[:m] - above) @ volumes + shares) / volumes.sum())
+        return float(((acting.pressure[:m] - above) @ volumes + shares) / volumes.sum())
 
     def scalars(self, balance: Balance) -> dict[str, float]:
         """Outputs by name.

@@ -159,7 +159,8 @@ class PartsSolver:
         """Further outputs of a step: those of `Parts.scalars`, and `parts_error`.
 
         `parts_error` is the relative difference from the answer of twice the parts under the load that was reached,
-        in displacement or in change of shape. It is NaN if that answer was not found, and if nothing acts or moves.
+        in displacement or in change of shape. It is NaN if no stable such answer was found, and if nothing acts or
+        moves.
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return {}
@@ -168,7 +169,8 @@ class PartsSolver:
             return found
         if self._size(step.balance.load) == 0.0:
             return {**found, "parts_error": np.nan}
-        self._finer_step = self._finer.step(step.balance.load, self._finer_step)
+        load = step.balance.load
+        self._finer_step = self._finer.audited(load, self._finer.step(load, self._finer_step))[0]
         if not self._finer_step.status.ok:
             return {**found, "parts_error": np.nan}
         return {**found, "parts_error": self._apart(step.displacement, self._finer_step.displacement)}

@@ -91,7 +91,7 @@ class Unloaded(Parts):
         # the volume constraint of the loaded state, with its sign changed, over the volumes of this rest shape
         beyond = np.einsum("nc,nc->n", self._beyond, seen.parts.away + further)
         grown[: self.n_parts] -= np.add.reduceat(beyond, self._first)
-        gap = (grown - self.give * pressure + seen.parts.squeezed) / self.volumes - 1.0
+        gap = (grown - self.give * seen.parts.pressure + seen.parts.squeezed) / self.volumes - 1.0
         return Balance(
             load, x, pressure, gap, lacking, seen.scale, _Resting(seen, rest, back, placed, filled)
         )

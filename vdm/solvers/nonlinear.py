@@ -184,12 +184,14 @@ class DeformedStep(Step):
     balance : equilibrium of all nodes of the body; for a failed step the last one before the failure; None if the
         solver has none
     reached : share of the load step at which that equilibrium was found
+    left : `Large.stiffness_left` of that equilibrium, NaN if it was not examined
     """
 
     lacking: Array = field(repr=False)
     stored: float
     balance: Balance | None = field(default=None, repr=False)
     reached: float = 1.0
+    left: float = np.nan
 
     @property
     def energy(self) -> float:
@@ -278,6 +280,7 @@ class NonlinearSolver:
         x, pressure = self._ahead(load)
         substeps, iterations, used, why, mixes = Substeps(), 0, 0, "", not self.body.has_slope
         balance: Balance | None = None
+        left = np.nan
         while (reached := substeps.reached) < 1.0:
             target = substeps.target
             found, used, why = self._solve(
@@ -292,7 +295,8 @@ class NonlinearSolver:
             mixes = not self.body.has_slope
             # corrections also find unstable equilibria beyond a limit point
             looked_at = is_doubted or used > HISTORY
-            if found is not None and looked_at and self.body.stiffness_left(found) < 0.0:
+            found_left = self.body.stiffness_left(found) if found is not None and looked_at else np.nan
+            if found_left < 0.0:
                 found, why = None, UNSTABLE
             if found is None:
                 if reached == 0.0:
@@ -300,14 +304,16 @@ class NonlinearSolver:
                 if not substeps.failed():
                     break
                 continue
-            balance, x, pressure = found, found.x, found.pressure
+            balance, left, x, pressure = found, found_left, found.x, found.pressure
             substeps.found(used <= HISTORY)
         if balance is None:
             balance = self.body.balance(last.load, last.x, last.pressure)
         status = CONVERGED
         if reached < 1.0:
             told = ENDED.format("the nonlinear balance was not found", reached, self._number + 1, used, why)
-            if np.isfinite(left := self.body.stiffness_left(balance)):
+            if np.isnan(left):
+                left = self.body.stiffness_left(balance)
+            if np.isfinite(left):
                 told += LEFT.format(100.0 * left)
             status = Status("not-converged", told, REMEDY)
         else:
@@ -324,6 +330,7 @@ class NonlinearSolver:
             stored=self.body.energy(balance),
             balance=balance,
             reached=reached,
+            left=left,
         )
 
     def audited(self, load: Load, step: Step) -> tuple[Step, Audit]:
@@ -333,7 +340,9 @@ class NonlinearSolver:
         """
         if not isinstance(step, DeformedStep) or step.balance is None:
             return step, Audit(np.nan)
-        if copy(self.body).stiffness_left(step.balance) < 0.0:  # which keeps its slope
+        # a copy keeps the tangent
+        left = copy(self.body).stiffness_left(step.balance) if np.isnan(step.left) else step.left
+        if left < 0.0:
             self._path = self._path[:-1] if step.status.ok else self._path
             step = self._stepped(load, is_doubted=True)
         assert step.balance is not None
