@@ -12,8 +12,10 @@ from scipy.sparse import csr_array
 
 from fem_reference.assembly import Pattern
 from fem_reference.mesh import TetMesh, triangle_p2
-from solver_common.arrays import Array
+from solver_common.arrays import Array, Mask
 from solver_common.quadrature import facet_quadrature
+
+_SYMMETRIC = 1e-9  # rounding of a symmetric stiffness, relative to its largest entry
 
 
 class FollowerPressure:
@@ -62,6 +64,18 @@ class FollowerPressure:
         places, inverse = np.unique(self._pattern.places(nodes), return_inverse=True)
         gather = csr_array((np.ones(len(v)), (inverse, np.arange(len(v)))), shape=(len(places), len(v)))
         return places, np.asarray(gather @ blocks.reshape(-1, 9)).reshape(-1, 3, 3)
+
+    def has_energy(self, positions: Array, facet_pressure: Array, free: Mask) -> bool:
+        """Whether the stiffness is symmetric in the free components (n_nodes, 3), as in a closed cavity."""
+        if not facet_pressure.any():
+            return True
+        places, blocks = self.stiffness(positions, facet_pressure)
+        pattern = self._pattern
+        mirrored = blocks[np.searchsorted(places, pattern.mirror[places])]
+        rows = np.searchsorted(pattern.indptr, places, side="right") - 1
+        both = free[rows][:, :, None] & free[pattern.indices[places]][:, None, :]
+        skew = np.abs(blocks - np.swapaxes(mirrored, 1, 2)).max(initial=0.0, where=both)
+        return bool(skew <= _SYMMETRIC * np.abs(blocks).max(initial=0.0))
 
     def _loaded(self, facet_pressure: Array) -> tuple[NDArray[np.int64], Array]:
         loaded = np.flatnonzero(facet_pressure.any(axis=1))

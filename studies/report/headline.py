@@ -9,7 +9,7 @@ from ..machine import plain
 from ..measures.case import Run
 from ..measures.metrics import DEFORMATION, VECTOR
 from ..study.errors import plural
-from ..study.registry import Family
+from ..study.registry import Family, split
 from ..verdict.advice import Advice
 from ..verdict.digest import (
     CONTACT,
@@ -112,8 +112,14 @@ def headline(digest: Digest) -> Section | None:
     if not digest.cases:
         return None
     along_normals = any(math.isfinite(digest.floor(name)) for name in digest.models)
+    finite = any(split(name)[0] == "fem" for name in (*digest.models, digest.reference or ""))
     small_print = note(
-        "headline", len(digest.cases), bool(digest.compared), along_normals, list(digest.figures.values())
+        "headline",
+        len(digest.cases),
+        bool(digest.compared),
+        along_normals,
+        list(digest.figures.values()),
+        finite,
     )
     return Section("headline", "How far off, and at what cost", [_table(digest), small_print])
 

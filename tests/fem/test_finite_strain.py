@@ -18,7 +18,7 @@ from fem_reference.follower import FollowerPressure
 from fem_reference.loads import Load, nodal_forces
 from fem_reference.materials import make_law
 from fem_reference.mesh import TetMesh
-from fem_reference.newton import LoadPath
+from fem_reference.newton import LoadPath, Newton
 from fem_reference.solution import Solution
 from fem_reference.surface_stretch import BIOT, most_compressed
 from fem_reference.tangent_solver import Factors
@@ -462,6 +462,21 @@ def test_a_column_that_stays_straight_stands_up_to_the_weight_that_it_buckles_un
     if not status.ok and poisson_ratio > 0.0:
         # near it rounding decides whether Newton's method converges to a state that is not stable, or does not
         assert "limit point" in status.message
+
+
+def test_a_pressure_of_which_the_load_tells_that_it_has_no_energy_takes_no_tangent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On the top of a column that its weight buckles; on all of its free surface it is judged as without."""
+    body = mapped_box((2, 2, 12), lambda x: x / (6.0, 6.0, 1.0))
+    problem = body.finite(body.bottom, poisson_ratio=0.45, density=1.0)
+    gravity = (0.0, 0.0, -1.2 * 7.84 / 12.0 / 36.0)
+    newton, state = problem._newton, problem._state(problem.sag(gravity))
+    bottom, top = (body.facets_where(lambda x, z=z: x[:, 2] == z) for z in (0.0, 1.0))
+    loads = [problem._scaled(body.load(1e-6 * part, gravity=gravity)) for part in (~bottom, top)]
+    assert not newton.is_stable(state, loads[0])
+    monkeypatch.setattr(Newton, "tangent", None)
+    assert newton.is_stable(state, loads[1])
 
 
 def test_the_time_of_a_step_is_without_what_is_told_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
