@@ -91,12 +91,10 @@ class Shortfall:
     def mesh_part(self, step: int | None = None) -> float:
         """Largest error over its limit that the mesh explains, of the broken limits.
 
-        It is the error of the reference's own model on the same mesh, or what the model estimates for its mesh.
+        It is what the model estimates for its mesh, else the error of the reference's own model on the same mesh.
         """
-        own = (
-            self._at(self.model, c, step) / c.allowed * share for c, share in self.mesh_shares(step).items()
-        )
-        return max(self.part(self.digest.coarse_reference, step), *own, 0.0)
+        own = [self._at(self.model, c, step) / c.allowed * k for c, k in self.mesh_shares(step).items()]
+        return max(own) if own else self.part(self.digest.coarse_reference, step)
 
     def mesh_shares(self, step: int | None = None) -> dict[Criterion, float]:
         """Broken limit -> share of the model's error, at most 1, that its own estimates of mesh errors explain.
@@ -116,12 +114,17 @@ class Shortfall:
         return found
 
     @property
+    def has_own_mesh_error(self) -> bool:
+        """Whether the model estimates an error of its mesh; that of elements says nothing of it then."""
+        return not {"mesh_error", "shape_error"}.isdisjoint(self.case.models[self.model].scalars)
+
+    @property
     def mesh_is_enough(self) -> bool:
         """Whether the model would keep every broken limit without the mesh's share of its error."""
-        own, coarse = self.mesh_shares(), str(self.digest.coarse_reference)
+        own, coarse = self.mesh_shares(), None if self.has_own_mesh_error else self.digest.coarse_reference
         return all(
             self._at(self.model, c, None) * (1.0 - own.get(c, 0.0)) <= c.allowed
-            or self._at(self.model, c, None) - self._at(coarse, c, None) <= c.allowed
+            or self._at(self.model, c, None) - self._at(str(coarse), c, None) <= c.allowed
             for c in self.broken
         )
 
@@ -277,13 +280,15 @@ def compressibility(shortfall: Shortfall) -> Iterator[Reason]:
 
 
 def the_mesh(shortfall: Shortfall) -> Iterator[Reason]:
-    """The mesh: the reference's own elements have such an error on it, or the model's estimate of it is large."""
-    coarse = shortfall.digest.coarse_reference
+    """The mesh: the model's own estimate is large; without one, the error of the reference's elements on it."""
+    coarse, own = shortfall.digest.coarse_reference, shortfall.mesh_shares()
     helps = {"enough": shortfall.mesh_is_enough}
-    if coarse is not None and shortfall.part(coarse) >= HALF:
+    if shortfall.mesh_part() < HALF:
+        return
+    if own:
+        yield Reason(MESH, {"share": max(own.values())}, helps)
+    elif coarse is not None and not shortfall.has_own_mesh_error:
         yield Reason(MESH, shortfall.errors(coarse), {"elements": coarse, **helps})
-    elif shortfall.mesh_part() >= HALF:
-        yield Reason(MESH, {"share": max(shortfall.mesh_shares().values())}, helps)
 
 
 def the_reference(shortfall: Shortfall) -> Iterator[Reason]:

@@ -251,6 +251,28 @@ def test_what_the_mesh_leaves_of_displacements_explains_no_change_of_shape(
     assert causes(make_run([case]), "bem").keys() == kinds
 
 
+@pytest.mark.parametrize(
+    ("scalars", "kinds"),
+    [
+        ({"mesh_error": 0.10}, {MESH}),
+        ({"mesh_error": 0.01}, {MODEL}),  # in displacement; of the shape the model says nothing
+        ({"mesh_error": 0.01, "shape_error": 0.01}, {MODEL}),
+        ({}, {MESH}),
+    ],
+)
+def test_a_model_that_knows_its_mesh_is_told_nothing_of_the_mesh_of_elements(
+    scalars: dict[str, float], kinds: set[str]
+) -> None:
+    """Of boundary elements 7 % off, 10 % by their own estimate, was told that elements are 27.7 % off."""
+    errors = {"bem:nonlinear": (0.13,) * 3, "fem": (0.277,) * 3}
+    far = growing(errors, reference="fem refined")
+    own = {key: np.full(3, value) for key, value in scalars.items()}
+    run = make_run([of_model(far, "bem:nonlinear", scalars=own)], reference="fem")
+    found = told(run, "bem:nonlinear")
+    assert found.keys() == kinds
+    assert ("27.7 %" in str(found)) is (not scalars)
+
+
 def test_the_references_bar_is_told_where_it_decides() -> None:
     open_ = make_case({"vdm-vector": 0.095}, reference_error=OFF_BY | {"levels": 2.0}, subdivisions=0)
     assert causes(make_run([open_]))[REFERENCE].numbers == {
