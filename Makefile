@@ -41,7 +41,7 @@ baselines: setup
 	for study in quickstart regression; do \
 	  $(RUN)vdmbench run $$study && $(RUN)vdmbench accept results/runs/$$study --reason "$(REASON)" || exit 1; done
 
-# ARGS are the table's own: a liver.obj for accuracy, ratios, parts, performance; studies for error_bars, scenes
+# ARGS are the table's own: a liver.obj for accuracy, ratios, parts, scans, performance; studies for error_bars, scenes
 evidence: setup
 	@test -n "$(WHAT)" || { echo 'say what: make evidence WHAT=claims'; exit 2; }
 	$(if $(filter league measured,$(WHAT)),$(PIP) --quiet ./docs/examples)

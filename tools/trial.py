@@ -71,7 +71,7 @@ def _write(path: Path) -> None:
         gmsh.finalize()
 
 
-def _file(name: str) -> Path:
+def body_file(name: str) -> Path:
     """Of a body that no shape of a study is."""
     BODIES.mkdir(parents=True, exist_ok=True)
     if not (path := BODIES / name).exists():
@@ -82,7 +82,7 @@ def _file(name: str) -> Path:
 def _run(name: str, text: str) -> list[CaseResult]:
     """Its cases; one whose reference ends on the way is compared where that ended."""
     for file in ("cup.stl", "fork.stl"):
-        _file(file)
+        body_file(file)
     return ran_text(text, f"parts/{name}", codes=(0, 3), files=BODIES.iterdir()).cases
 
 
@@ -251,7 +251,7 @@ def _held_over(about: Mapping[str, Any]) -> tuple[Mesh, Mask]:
     """A body of the trial, or another shape, and the nodes held from its end along x over a share of it."""
     shape = about.get("geometry") or OWN["bodies"][about["name"]]["geometry"]
     if "path" in shape:
-        shape = {**shape, "path": str(_file(shape["path"]))}
+        shape = {**shape, "path": str(body_file(shape["path"]))}
     study = merged(COSTS["study"], EVIDENCE["agreement"]["study"])
     study = Study.model_validate(study | {"geometry": {**shape, "mesh_size": about["mesh"]}})
     mesh = mesh_from_cache(study.geometry, cache_directory())

@@ -8,12 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tomli_w
 
 from tests.report.runs import example_measurement, make_case, make_run
-from tools import error_bars, evidence, mutants, trial
+from tools import error_bars, evidence, mutants, scans, trial
 from tools.documents import CASES, README, ROOT, cells, rows_shown, shown
 from tools.evidence import EVIDENCE, MEASURES
-from vdmbench.study.config import expand, load_study
+from vdmbench.study.config import Study, expand, load_study
+from vdmbench.study.files import merged
 
 NAN = float("nan")
 OURS = [model for model in EVIDENCE["league"]["models"] if model not in ("mujoco-flex", "ngsolve-p2p1")]
@@ -44,6 +46,9 @@ def test_other_studies_of_the_evidence_are_sound(tmp_path: Path) -> None:
         path.write_text(evidence.study_of(trial.OWN, body, load, name=body))
         if (body, load) != ("bladder", "weight"):  # whose fluid has none
             assert len(expand(load_study(path))) == 1
+    for about in scans.OWN["bodies"].values():
+        path.write_text(tomli_w.dumps(merged(scans.OWN["study"], about)))
+        assert expand(load_study(path))
     studies = {path.stem for path in CASES.glob("*.toml")}
     assert set(EVIDENCE["scenes"]["studies"]) | set(EVIDENCE["error_bars"]["cases"]) <= studies
 
@@ -86,13 +91,26 @@ def test_what_is_used_of_a_bar_by_hand_and_that_the_bars_hold() -> None:
 
 
 def test_what_is_shown_is_made_of_all_rows() -> None:
-    for name in ("accuracy", "ratios", "parts", "costs", "error_bars"):
+    for name in ("accuracy", "ratios", "parts", "costs", "scans", "error_bars"):
         own = EVIDENCE[name]
         assert evidence.page(name, all_rows(name)) == shown(ROOT / own["document"], own["part"])
     own = EVIDENCE["performance"]
     assert rows_shown(ROOT / own["document"], own["part"])[-1] == next(
         r[2:] for r in reversed(all_rows("performance")) if r[0] == "accuracy-organ"
     )
+
+
+def test_a_known_ball_is_led_back_from_its_scan_in_both_forms() -> None:
+    ball = {"shape": "sphere", "radius": "50 mm", "mesh_size": "25 mm"}
+    about = merged(scans.OWN["study"], {"geometry": ball, "tissue": {"youngs_modulus": "6 kPa"}})
+    body, nodes, parts, *led = scans.scans_row("ball", Study.model_validate(about))
+    assert (body, parts) == ("ball", "1")
+    assert 40 < int(nodes) < 100
+    for sag, off, told in (led[:3], led[3:]):
+        assert 2.0 < float(sag) < 20.0
+        worst, mean = map(float, off.split(" / "))
+        assert 0.0 < mean < worst < 0.1
+        assert told == "nothing"
 
 
 def test_rows_of_what_was_not_measured_anew_stay(tmp_path: Path) -> None:
