@@ -110,6 +110,12 @@ def test_models_and_metrics_may_be_missing_in_a_case() -> None:
     assert "20.0 %" in words(section(html, "headline")).replace("\u00a0", " ")
 
 
+@pytest.mark.parametrize(("name", "is_said"), [("fem", True), ("fem-linear", False)])
+def test_where_stability_is_not_examined_is_said_of_finite_strain_alone(name: str, is_said: bool) -> None:
+    html = page_html(make_run([make_case({name: 0.1}, subdivisions=0)]))
+    assert ("stability of an answer of fem is not examined" in words(section(html, "headline"))) == is_said
+
+
 # --- bytes ---
 
 
