@@ -182,9 +182,9 @@ class KnownLoads:
 def known_loads(cases: Sequence[CaseResult], surfaces: Sequence[Surface]) -> KnownLoads:
     """The load of each step: that of the case's only contact, or of the only thing that pushes it.
 
-    The reference's answer gives load and depth, which is not known where the sag under a weight, or what moves the
-    body elsewhere, is in it. If the cases have no common unit, loads are shares of the full
-    load, in the unit "1".
+    The reference's answer gives load and depth. The depth is NaN if the sag under a weight, or the motion of
+    another region, adds to it. If the cases have no common unit, loads are shares of the full load, in the unit
+    "1".
     """
     units, curves = set(), []
     for case, surface in zip(cases, surfaces, strict=True):

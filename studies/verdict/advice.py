@@ -115,7 +115,7 @@ class Shortfall:
 
     @property
     def has_own_mesh_error(self) -> bool:
-        """Whether the model estimates an error of its mesh; that of elements says nothing of it then."""
+        """Whether the model estimates the error of its own mesh; that of elements does not apply to it then."""
         return not {"mesh_error", "shape_error"}.isdisjoint(self.case.models[self.model].scalars)
 
     @property

@@ -339,9 +339,9 @@ class Parts:
     def _levelled(self, load: Load) -> tuple[float, Array]:
         """Level of a load [Pa] and its contact forces (N, 3) at rest without it [N].
 
-        The level is the pressure that acts on all free nodes at least, or the tension. Such a pressure equals the
-        same pressure in all parts less that of the rims. Left out of both, its forces at the cuts neither cancel
-        only to rounding, nor enter the tangent, which is inexact there once a pressure exceeds the modulus.
+        The level is the least pressure, or tension, that all free nodes have in common. It is equivalent to the
+        same pressure in all parts, less that of the rims, so both leave it out. Else its forces at the cuts would
+        cancel to rounding only, and enter the tangent, which is inexact there once a pressure exceeds the modulus.
         """
         form = self.problem.formulation
         vectors, contact = form.surface.area_vectors, form.contact_force(self.problem.support.signed(load))
