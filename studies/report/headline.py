@@ -17,7 +17,6 @@ from ..verdict.digest import (
     HAUSDORFF,
     NORMAL,
     Digest,
-    Figures,
     Spread,
     digest_of,
     median_known,
@@ -43,29 +42,34 @@ TONES = {"yes": "good", "no": "bad", "not judged": "muted"}
 
 
 def what_to_take(verdicts: Verdicts) -> Table | None:
-    """A row for each kind of interaction, and for each model to take there."""
-    rows: list[tuple[Advice, int, Figures | None]] = [
-        (one, k, figures) for one in verdicts.take for k, figures in enumerate(one.take or (None,))
-    ]
+    """A row for each kind of interaction, with the model to take there."""
 
-    def number(name: str, unit: str, digits: int = 3) -> Any:
-        def of(row: tuple[Advice, int, Figures | None]) -> Cell | None:
-            found = getattr(row[2], name, math.nan) if row[2] is not None else math.nan
-            if not math.isfinite(found) or (unit == "1" and row[2] is not None and row[2].same):
+    def error(name: str) -> Any:
+        def of(one: Advice) -> Cell:
+            value = getattr(one.take, name, math.nan)
+            if not math.isfinite(value) or (one.take and one.take.same):
                 return Cell("")
-            return Cell(short_percent(found) if unit == "1" else quantity(found, unit, digits), value=found)
+            bar = getattr(one.take, f"{name}_bar")
+            return Cell(short_percent(value), f"± {short_percent(bar)}" if math.isfinite(bar) else "", value)
+
+        return of
+
+    def time(name: str) -> Any:
+        def of(one: Advice) -> Cell:
+            value = getattr(one.take, name, math.nan)
+            return Cell(quantity(value, "s", 2) if math.isfinite(value) else "", value=value)
 
         return of
 
     fields = [
-        Field("Where", lambda row: Cell("" if row[1] else capital(row[0].interaction))),
-        Field("Take", lambda row: " ".join(said("take", row[0], row[1]))),
-        Field("Displacement error", number("displacement", "1"), "1"),
-        Field("Change of shape", number("deformation", "1"), "1"),
-        Field("A frame", number("frame", "s", 2), "s"),
-        Field("Set-up", number("set_up", "s", 2), "s"),
+        Field("Where", lambda one: capital(one.interaction)),
+        Field("Take", lambda one: " ".join(said("take", one))),
+        Field("Displacement error", error("displacement"), "1"),
+        Field("Change of shape", error("deformation"), "1"),
+        Field("A frame", time("frame"), "s"),
+        Field("Set-up", time("set_up"), "s"),
     ]
-    return frame_table(rows, fields, "take", tools=False) if rows else None
+    return frame_table(verdicts.take, fields, "take", tools=False) if verdicts.take else None
 
 
 # --- against the limits ---

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..measures.case import CaseResult
-from ..study.registry import FINITE_STRAIN, Family, is_linear, is_surface, lacks, split
+from ..study.registry import FINITE_STRAIN, REFINED, Family, is_linear, is_surface, lacks, split
 from ..study.schema import extras_for, has_weight
 from .acceptance import BEYOND, FRAME_TIME, LOST, OPEN, WITHIN, Criterion
 from .digest import Digest, Figures, first_failed, median_known
@@ -339,25 +339,25 @@ RESTING, MOVING, CUTTING, EXACT = (
 
 @dataclass(frozen=True)
 class Advice:
-    """Which models to take for one kind of interaction.
+    """Which model to take for one kind of interaction.
 
     Attributes
     ----------
     interaction : the kind, in words
     kind : which sentence the templates take
-    take : the models of this study to take, the best first
+    take : the model of this study to take; None if there is none
     allowed : limit of the time of a frame [s]; NaN if there is none
     """
 
     interaction: str
     kind: str
-    take: tuple[Figures, ...] = ()
+    take: Figures | None = None
     allowed: float = math.nan
 
     @property
     def model(self) -> str:
-        """The best model, "" if there is none."""
-        return self.take[0].model if self.take else ""
+        """The model to take, "" if there is none."""
+        return self.take.model if self.take else ""
 
 
 # --- by the kind of interaction ---
@@ -367,10 +367,10 @@ def by_interaction(digest: Digest) -> tuple[Advice, ...]:
     """Which model to take for each kind of interaction."""
     surface = _answered(digest, filter(is_surface, digest.compared))
     elements = _answered(digest, digest.families[Family.ELEMENTS])
-    moving = [_moving(digest, surface), _cutting(digest, surface)] if surface else []
+    moving = [_moving(digest, surface)] if surface else []
     contact = any(part.kind == "contact" for case in digest.cases for part in case.study.constraints)
     resting = [_resting(digest)] if contact and not _refuses(CONDENSED, digest) else []
-    return (*resting, *moving, _exact(digest, surface, elements))
+    return (*resting, *moving, _cutting(digest, (*surface, *elements)), _exact(digest, surface, elements))
 
 
 def _refuses(name: str, digest: Digest) -> bool:
@@ -390,32 +390,34 @@ def _resting(digest: Digest) -> Advice:
                 return _none(RESTING, digest)
             found = digest.figures[name]
             if name == LINEAR:  # condensed elements have other times
-                within = int((digest.at_full(digest.worst_states(name, of_load=True)) == WITHIN).sum())
-                found = replace(found, frame=math.nan, set_up=math.nan, within=within)
-            return Advice(RESTING, "linear" if apart else "condensed", (found,))
+                found = replace(_apart_from_time(digest, name), frame=math.nan, set_up=math.nan)
+            return Advice(RESTING, "linear" if apart else "condensed", found)
     return Advice(RESTING, "condensed")
 
 
 def _moving(digest: Digest, surface: Sequence[str]) -> Advice:
     """The surface model with the least error whose frame is in time: with loads everywhere, if measured."""
-    limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.nan)
-    known = {name: digest.figures[name] for name in _serving(digest, surface)}
-    quick = [name for name, one in known.items() if math.isnan(limit) or one.anywhere <= limit]
+    limit, quick = _in_time(digest, _serving(digest, surface))
     if not quick:
         return _none(MOVING, digest, limit)
-    closest = known[_closest(digest, quick)]
-    return Advice(MOVING, "closest surface", (replace(closest, frame=closest.anywhere),), allowed=limit)
+    closest = digest.figures[min(quick, key=digest.usual_share)]
+    return Advice(MOVING, "closest surface", replace(closest, frame=closest.anywhere), allowed=limit)
 
 
-def _cutting(digest: Digest, surface: Sequence[str]) -> Advice:
-    """A cut needs a new set-up: the surface model that answers first after it, and the one with the least error."""
-    serving = _serving(digest, surface)
-    if not serving:
-        return _none(CUTTING, digest)
-    known = [digest.figures[name] for name in serving]
-    anew = {one.model: replace(one, set_up=one.set_up + one.anywhere, frame=math.nan) for one in known}
-    names = dict.fromkeys([min(serving, key=lambda name: anew[name].set_up), _closest(digest, serving)])
-    return Advice(CUTTING, "set-up", tuple(anew[name] for name in names))
+def _cutting(digest: Digest, names: Sequence[str]) -> Advice:
+    """A cut needs a new set-up: the model within all limits that answers first after it, set-up included.
+
+    The reference is one of them if it is on the model's mesh.
+    """
+    reference = digest.reference
+    itself = [reference] if reference and not reference.endswith(REFINED) and _bar(digest) <= 1.0 else []
+    limit, quick = _in_time(digest, [*_serving(digest, names), *itself])
+    known = [digest.figures[name] for name in quick]
+    anew = [replace(one, set_up=one.set_up + one.anywhere, frame=math.nan) for one in known]
+    first = min((one for one in anew if math.isfinite(one.set_up)), key=lambda one: one.set_up, default=None)
+    if first is None:
+        return _none(CUTTING, digest, limit)
+    return Advice(CUTTING, "set-up", first, allowed=limit)
 
 
 def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> Advice:
@@ -424,12 +426,11 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
     None if no model is within the limits and the reference's error bar is beyond a limit too.
     """
     if not elements and digest.reference == LINEAR:
-        return Advice(EXACT, "elements", (digest.figures[LINEAR],))
+        return Advice(EXACT, "elements", digest.figures[LINEAR])
     if not elements:
         return Advice(EXACT, "finite strain" if _refuses(LINEAR, digest) else "elements")
     told = [name for name in elements if not digest.same_as_reference(name)]
-    bars = [median_known(digest.bars(one.metric)) / one.allowed for one in digest.criteria if one.of_load]
-    bar = max(filter(math.isfinite, bars), default=0.0)
+    bar = _bar(digest)
 
     def share(name: str) -> float:
         return digest.usual_share(name) + (bar if name in surface else 0.0)
@@ -440,8 +441,8 @@ def _exact(digest: Digest, surface: Sequence[str], elements: Sequence[str]) -> A
     if told and not serving and bar > 1.0:
         return Advice(EXACT, "none known")
     if told and reference is not None and not serving:
-        return Advice(EXACT, "reference", (digest.figures[reference],))
-    return Advice(EXACT, "closer surface" if best in surface else "elements", (digest.figures[best],))
+        return Advice(EXACT, "reference", digest.figures[reference])
+    return Advice(EXACT, "closer surface" if best in surface else "elements", _apart_from_time(digest, best))
 
 
 def _none(interaction: str, digest: Digest, allowed: float = math.nan) -> Advice:
@@ -454,8 +455,22 @@ def _serving(digest: Digest, names: Iterable[str]) -> list[str]:
     return [name for name in names if digest.usual_share(name) <= 1.0]
 
 
-def _closest(digest: Digest, names: Iterable[str]) -> str:
-    return min(names, key=digest.usual_share)
+def _in_time(digest: Digest, names: Iterable[str]) -> tuple[float, list[str]]:
+    """The limit of a frame [s], NaN if there is none, and the models that keep it with loads everywhere."""
+    limit = next((c.allowed for c in digest.criteria if c.key == FRAME_TIME), math.nan)
+    return limit, [n for n in names if math.isnan(limit) or digest.figures[n].anywhere <= limit]
+
+
+def _apart_from_time(digest: Digest, name: str) -> Figures:
+    """The numbers of a compared model, with the cases within the limits of the errors alone."""
+    within = digest.at_full(digest.worst_states(name, of_load=True)) == WITHIN
+    return replace(digest.figures[name], within=int(within.sum()))
+
+
+def _bar(digest: Digest) -> float:
+    """The reference's largest error bar over its limit, medians over the cases; 0 if none was measured."""
+    bars = [median_known(digest.bars(one.metric)) / one.allowed for one in digest.criteria if one.of_load]
+    return max(filter(math.isfinite, bars), default=0.0)
 
 
 def _answered(digest: Digest, names: Iterable[str]) -> list[str]:

@@ -102,6 +102,7 @@ class Figures:
     lead, value, bar : name of the leading error, its value and its error bar. It is the displacement error, or the
         normal error of a model that moves along normals
     displacement, deformation : displacement error, and error in change of shape [1]
+    displacement_bar, deformation_bar : their error bars [1]
     frame, everywhere : time of a frame of the contact, and with all nodes loaded, over meshes and rounds [s]. If
         none was measured, `frame` is the time of a load step
     set_up : time of the set-up [s]
@@ -116,7 +117,9 @@ class Figures:
     value: float = math.nan
     bar: float = math.nan
     displacement: float = math.nan
+    displacement_bar: float = math.nan
     deformation: float = math.nan
+    deformation_bar: float = math.nan
     frame: float = math.nan
     everywhere: float = math.nan
     set_up: float = math.nan
@@ -494,14 +497,19 @@ class Digest:
         results = [case.models[name] for case in self.cases if name in case.models]
         frames = [result.frames for result in results if result.frames is not None]
         answered = [r for r in results if any(status.ok for status in r.status)]
-        lead = self.spread(name, self.leading(name)) or Spread(math.nan)
+        lead, moved, bent = (
+            self.spread(name, metric) or Spread(math.nan)
+            for metric in (self.leading(name), VECTOR, DEFORMATION)
+        )
         return Figures(
             model=name,
             lead="normal error" if self.leading(name) == NORMAL else "displacement error",
             value=lead.value,
             bar=lead.bar,
-            displacement=self.median(name, VECTOR),
-            deformation=self.median(name, DEFORMATION),
+            displacement=moved.value,
+            displacement_bar=moved.bar,
+            deformation=bent.value,
+            deformation_bar=bent.bar,
             frame=frame_of(results),
             everywhere=median_known(*(f.everywhere for f in frames)),
             set_up=median_known(

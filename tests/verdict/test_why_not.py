@@ -12,6 +12,7 @@ from vdmbench.measures.case import CaseResult, Run
 from vdmbench.measures.metrics import DEFORMATION, VECTOR, History, evaluate
 from vdmbench.verdict.advice import (
     COMPRESSIBILITY,
+    CUTTING,
     EXACT,
     LEFT_OUT,
     MESH,
@@ -330,13 +331,14 @@ def test_nobody_is_told_to_take_a_model_that_is_not_within_the_limits() -> None:
         ]
 
     assert taken(near, 2e-3) == ["", "bem", "bem", ""]
-    assert taken(near, 1e-3) == ["", "", "bem", ""], "loads everywhere take bem 1.6 ms, the other 0.8"
+    assert taken(near, 1e-3) == ["", "", "", ""], "loads everywhere take bem 1.6 ms, the other 0.8"
     assert taken(far, 1e-3) == ["", "", "", "fem"]
     run = make_run([far], acceptance={"frame_time": 1e-3})
     resting, moving, cutting, _ = ("".join(said("take", one)) for one in by_interaction(Digest(run)))
     none = "no surface model is within the limits"
     assert resting == "linear elements are not within the limits"
-    assert (moving, cutting) == (f"{none} and answers loads everywhere within 1.0 ms", none)
+    in_time = "and answers loads everywhere within 1.0 ms"
+    assert (moving, cutting) == (f"{none} {in_time}", f"no model is within the limits {in_time}")
     half = make_case({"vdm-paper": 0.09, "fem-linear": 0.09}, reference="fem", subdivisions=0)
     _, moving, *_ = by_interaction(Digest(make_run([dataclasses.replace(half, hash="half"), far])))
     assert said("take", moving) == [f"{none} in the median"]
@@ -432,11 +434,54 @@ def test_the_time_of_a_cut_is_the_set_up_with_the_first_answer_and_no_frame_of_t
     frames = case.models["bem"].frames
     assert frames is not None
     cutting = verdicts(Digest(make_run([case]))).take[2]
-    (taken,) = cutting.take
+    taken = cutting.take
+    assert taken is not None
     assert taken.set_up == pytest.approx(np.median(frames.setup) + np.median(frames.everywhere), rel=1e-9)
     assert np.isnan(taken.frame)
     (text,) = said("instead", cutting)
     assert "per frame" not in text
+
+
+@pytest.mark.parametrize(
+    ("errors", "limit", "model"),
+    [
+        ({"fem-linear": 0.02, "bem": 0.02}, None, "fem-linear"),  # set up in 20 ms, bem in 40
+        ({"bem": 0.02, "fem-linear": 0.02}, None, "bem"),
+        ({"fem-linear": 0.2, "bem": 0.02}, None, "bem"),
+        ({"bem": 0.2, "vdm-vector": 0.02}, None, "vdm-vector"),
+        ({"bem": 0.2}, None, "fem"),  # the reference, in 2.5 s
+        ({"fem-linear": 0.02}, 1e-3, "fem-linear"),
+        ({"fem-linear": 0.02}, 5e-4, ""),  # loads everywhere in 0.8 ms
+    ],
+)
+def test_a_cut_is_served_by_the_model_of_any_family_that_answers_first_within_all_limits(
+    errors: dict[str, float], limit: float | None, model: str
+) -> None:
+    """Boundary elements of 33 ms a frame were named under a limit of 5 ms; elements, which set up sooner, never."""
+    case = measured_anew(make_case(errors, reference="fem", subdivisions=0))
+    acceptance = {} if limit is None else {"frame_time": limit}
+    cutting = by_interaction(Digest(make_run([case], acceptance=acceptance)))[-2]
+    assert (cutting.interaction, cutting.model) == (CUTTING, model)
+
+
+def test_a_reference_on_finer_meshes_serves_no_cut() -> None:
+    case = measured_anew(make_case({"bem": 0.2}, reference="fem refined", subdivisions=0))
+    assert by_interaction(Digest(make_run([case], reference="fem")))[-2].model == ""
+
+
+@pytest.mark.parametrize("error", [0.085, 0.095])
+def test_a_model_that_is_not_surely_within_the_limits_is_named_as_such_and_with_the_references_bar(
+    error: float,
+) -> None:
+    """Elements of 4.8 %, undecided by the reference's own 6 %, were what a few per cent need."""
+    errors = {"bem": error, "fem-linear": error}
+    case = measured_anew(make_case(errors, reference="fem", reference_error=OFF_BY, subdivisions=0))
+    for one in by_interaction(Digest(make_run([case]))):
+        (text,) = said("instead", one)
+        assert ("not surely within the limits" in text) is (error > 0.09)
+        assert f"{100 * error:g} % ± 1 % off in displacement and {100 * error:g} % ± 1 % in change of" in text
+    row = verdicts(Digest(make_run([case])))["elements"]
+    assert f"change of shape {100 * error:g} % ± 1 %" in said("row", row, verdicts(Digest(make_run([case]))))
 
 
 def test_condensed_elements_that_leave_out_a_lump_say_nothing_of_linear_ones_that_know_it() -> None:
@@ -486,4 +531,6 @@ def test_condensed_elements_are_as_good_as_linear_ones_whose_frames_take_too_lon
     case = measured_anew(make_case({"vdm-vector": 0.2, "fem-linear": 0.02}, reference="fem", subdivisions=0))
     for limit in ({}, {"frame_time": 1e-6}):
         resting = verdicts(Digest(make_run([case], acceptance=limit))).take[0]
-        assert (resting.kind, resting.model, resting.take[0].within) == ("condensed", "fem-linear", 1)
+        assert (resting.kind, resting.model) == ("condensed", "fem-linear")
+        assert resting.take is not None
+        assert resting.take.within == 1
