@@ -190,17 +190,25 @@ def _side_by_side(options: argparse.Namespace) -> int:
 
 
 def _rows(held: Sequence[Baseline], findings: Sequence[Sequence[Finding]]) -> list[dict[str, Any]]:
-    """For each metric and model: the worst value over each run's cases, NaN for none, and its outcome."""
+    """For each metric and model: the worst value over each run's cases, its outcome and the reference's bar there.
+
+    NaN for what there is not.
+    """
     from ..gate import OUTCOMES, OWN, SAME
+    from ..measures.uncertainty import SIGNED
 
     worst: dict[tuple[str, str], list[float]] = {}
+    bars: dict[tuple[str, str], list[float]] = {}
     for k, one in enumerate(held):
         for case in one.cases.values():
+            reference = case.values.get(case.reference or "", {})
             for model, found in case.values.items():
                 for metric, value in found.items():
                     own = worst.setdefault((metric, model), [math.nan] * len(held))
+                    bar = bars.setdefault((metric, model), [math.nan] * len(held))
                     if value is not None and not abs(own[k]) >= abs(value):
-                        own[k] = value
+                        known = None if metric in SIGNED else reference.get(OWN + metric)
+                        own[k], bar[k] = value, math.nan if known is None else known
     units = {name: measure.unit for one in held for name, measure in one.metrics.items()}
     rows = []
     for (metric, model), values in worst.items():
@@ -211,7 +219,8 @@ def _rows(held: Sequence[Baseline], findings: Sequence[Sequence[Finding]]) -> li
         outcomes = [next((one for one in OUTCOMES if one in each), SAME) for each in said]
         unit, all_outcomes = units[metric.removeprefix(OWN)], ["first", *outcomes]
         rows.append(
-            {"metric": metric, "model": model, "unit": unit, "values": values, "outcomes": all_outcomes}
+            {"metric": metric, "model": model, "unit": unit, "values": values}
+            | {"bars": bars[metric, model], "outcomes": all_outcomes}
         )
     return rows
 
@@ -232,10 +241,10 @@ def _print(
         print(f"\n{HEADLINE.get(metric, metric.replace('_', ' '))}")
         rows = []
         for row in (row for row in found if row["metric"] == metric):
-            cells = zip(ascii_uppercase, row["values"], row["outcomes"], strict=False)
+            cells = zip(ascii_uppercase, row["values"], row["bars"], row["outcomes"], strict=False)
             told = {
-                letter: f"{of_unit(value, row['unit'])} {_MARKS.get(outcome, '')}".rstrip()
-                for letter, value, outcome in cells
+                letter: f"{of_unit(value, row['unit'], bar)} {_MARKS.get(outcome, '')}".rstrip()
+                for letter, value, bar, outcome in cells
             }
             rows.append({"model": row["model"], **told})
         print_table(rows)

@@ -35,12 +35,13 @@ def note(macro: str, *about: Any, kind: str = "note") -> Text:
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry of a table: its text, a second line `detail`, and the full number for CSV and sorting."""
+    """One entry of a table: its text, a second line `detail`, and the full number and its error bar for CSV."""
 
     text: str
     detail: str = ""
     value: float | None = None
     tone: str = ""  # "good", "bad" or "muted"
+    bar: float = math.nan
 
     @property
     def exact(self) -> float | None:
@@ -64,7 +65,8 @@ def spread_cell(spread: Spread | None, unit: str, floor: float = math.nan) -> Ce
     bar = bar_detail(spread.value, spread.bar, lambda value: of_unit(value, unit), unknown="")
     worst = f"worst {of_unit(spread.worst, unit)}" if spread.cases > 1 else ""
     least = f"floor {percent(floor)}" if math.isfinite(floor) else ""
-    return Cell(of_unit(spread.value, unit), "\n".join(filter(None, [bar, worst, least])), spread.value)
+    detail = "\n".join(filter(None, [bar, worst, least]))
+    return Cell(of_unit(spread.value, unit), detail, spread.value, bar=spread.bar)
 
 
 @dataclass(frozen=True)
@@ -101,8 +103,8 @@ class Field:
         if not math.isfinite(found):
             return Cell(NOTHING if math.isnan(found) else number(found))
         text = number(found) if self.unit == "#" else of_unit(found, self.unit)
-        detail = "" if self.bar is None else bar_detail(found, self.bar(row), self._shown, unknown="")
-        return Cell(text, detail, float(found))
+        bar = math.nan if self.bar is None else float(self.bar(row))
+        return Cell(text, bar_detail(found, bar, self._shown, unknown=""), float(found), bar=bar)
 
     def _shown(self, value: float) -> str:
         return of_unit(value, self.unit)

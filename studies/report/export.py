@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -79,18 +81,21 @@ def _of_section(section: Section) -> Iterator[tuple[str, str]]:
 
 
 def table_csv(table: Table) -> str:
-    """The table as CSV, with full numbers in the units of the head."""
+    """The table as CSV, with full numbers in the units of the head; a column of error bars after what has some."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([_head(column) for column in table.columns])
-    for row in table.rows:
-        writer.writerow(
-            [
-                repr(cell.exact) if cell.exact is not None else no_formula(_words(cell).strip(NOTHING))
-                for cell in row
-            ]
-        )
+    columns: list[list[str]] = []
+    for column, *cells in zip(table.columns, *table.rows, strict=True):
+        columns.append([_head(column), *map(_entry, cells)])
+        if any(math.isfinite(cell.bar) for cell in cells):
+            bars = [repr(cell.bar) if math.isfinite(cell.bar) else "" for cell in cells]
+            columns.append([_head(replace(column, title=f"{column.title} ±")), *bars])
+    writer.writerows(zip(*columns, strict=True))
     return out.getvalue()
+
+
+def _entry(cell: Cell) -> str:
+    return repr(cell.exact) if cell.exact is not None else no_formula(_words(cell).strip(NOTHING))
 
 
 def _head(column: Field) -> str:

@@ -50,7 +50,8 @@ def what_to_take(verdicts: Verdicts) -> Table | None:
             if not math.isfinite(value) or (one.take and one.take.same):
                 return Cell("")
             bar = getattr(one.take, f"{name}_bar")
-            return Cell(short_percent(value), f"± {short_percent(bar)}" if math.isfinite(bar) else "", value)
+            told = f"± {short_percent(bar)}" if math.isfinite(bar) else ""
+            return Cell(short_percent(value), told, value, bar=bar)
 
         return of
 
@@ -105,7 +106,8 @@ def _limit(limit: Limit) -> Cell:
         f"{n} of {cases} {what}" for what, n in limit.counts.items() if what != "within" and 0 < n < cases
     ]
     about = "\n".join([*told, *([limit.case] if limit.case else [])])
-    return Cell(measure(limit.value, limit.unit, limit.bar), about, limit.value, TONES.get(limit.word, ""))
+    tone = TONES.get(limit.word, "")
+    return Cell(measure(limit.value, limit.unit, limit.bar), about, limit.value, tone, limit.bar)
 
 
 # --- every model ---
@@ -170,7 +172,7 @@ def _drift(spread: Spread | None) -> Cell | None:
     if spread is None:
         return None
     bar = f"± {percent(spread.worst_bar)}" if math.isfinite(spread.worst_bar) else ""
-    return Cell(percent(spread.worst, signed=True), bar, spread.worst)
+    return Cell(percent(spread.worst, signed=True), bar, spread.worst, bar=spread.worst_bar)
 
 
 # --- for a terminal and for programs ---

@@ -123,13 +123,15 @@ def _details(case: CaseResult, found: Measurement, number: int, units: str) -> T
             unit, value = found.quantities[k].unit, float(errors[k])
             known = math.isfinite(value)
             detail = f"± {quantity(float(bars[k]), unit, 2)}" if known else ""
-            return Cell(quantity(value, unit), detail, value, tone="bad" if known and not within[k] else "")
+            tone = "bad" if known and not within[k] else ""
+            return Cell(quantity(value, unit), detail, value, tone, float(bars[k]))
 
         return of
 
     def measured(k: int) -> Cell:
         one = found.quantities[k]
-        return Cell(quantity(one.value, one.unit), f"± {quantity(one.uncertainty, one.unit, 2)}", one.value)
+        told = f"± {quantity(one.uncertainty, one.unit, 2)}"
+        return Cell(quantity(one.value, one.unit), told, one.value, bar=one.uncertainty)
 
     at_factor = "at its load factor" if len(case.load_factors) > 1 else ""
     fields = [

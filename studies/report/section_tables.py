@@ -11,6 +11,7 @@ from ..measures.case import CaseResult, Limit, ModelLimits
 from ..measures.frame import where_reached
 from ..measures.limits import CLOSE, LARGEST, MOST_STRAIN
 from ..measures.metrics import METRICS, VECTOR
+from ..measures.uncertainty import reference_bar
 from ..study.checks import only_load
 from ..study.errors import plural
 from ..study.registry import Family
@@ -104,7 +105,7 @@ def _load(limit: Limit, load: float, unit: str) -> Cell:
         return Cell(NOTHING, _WHY[limit.state], tone="muted")
     text = quantity(load, unit)
     if limit.state == "found":
-        return Cell(text, bar_detail(1.0, limit.bar), load)
+        return Cell(text, bar_detail(1.0, limit.bar), load, bar=limit.bar * load)
     prefix = {"beyond": "≥ ", "unresolved": ""}.get(limit.state, "to ")
     return Cell(f"{prefix}{text}", _WHY[limit.state], load, tone="muted")
 
@@ -188,11 +189,12 @@ def _family(digest: Digest, one: Verdict) -> list[Field]:
 def _error(digest: Digest, model: str, metric: str) -> Callable[[CaseResult], Cell | None]:
     def of(case: CaseResult) -> Cell | None:
         value, result = digest.at(case, model, metric), case.models.get(model)
+        bar = reference_bar(case.reference_error, metric)
         if math.isfinite(value):
-            return Cell(percent(value), value=value)
+            return Cell(percent(value), value=value, bar=bar)
         if case.reached != case.full_load and math.isfinite(value := where_reached(case, model, metric)):
             factor = float(case.load_factors[case.reached])
-            return Cell(f"{percent(value)} at {factor:.3g}", value=value)
+            return Cell(f"{percent(value)} at {factor:.3g}", value=value, bar=bar)
         return Cell("failed", tone="bad") if result is not None and failed_steps(result) else None
 
     return of

@@ -85,9 +85,10 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
     return f"{number(value / factor, digits)} {shown}"
 
 
-def of_unit(value: float, unit: str) -> str:
-    """A metric's value; a percentage if it has no unit."""
-    return percent(value) if unit == "1" else quantity(value, unit)
+def of_unit(value: float, unit: str, bar: float = math.nan) -> str:
+    """A metric's value, a percentage if it has no unit, and its error bar if known."""
+    text = percent(value) if unit == "1" else quantity(value, unit)
+    return f"{text} ± {of_unit(bar, unit)}" if math.isfinite(bar) else text
 
 
 def measure(value: float, unit: str = "1", bar: float = math.nan) -> str:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
@@ -329,9 +330,27 @@ def test_json_has_every_metric_and_the_findings(
     assert row["outcomes"] == ["first", "newly failing"]
     assert row["values"][0] > 0
     assert row["values"][1] is None
+    assert row["bars"] == [None, None], "the reference's own error was not measured in it"
     assert {finding["outcome"] for finding in told["findings"][0]} >= {"worse", "better", "newly failing"}
     with pytest.raises(ValueError, match="give 2 to 26 different run directories, not 1"):
         do(parse(["compare", beside[0], f"{beside[0]}/."]))
+
+
+def test_a_number_beside_another_has_the_bar_of_the_reference_of_its_case(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    low, high = (
+        case_of({"bem": 0.05}),
+        case_of({"bem": 0.07}, reference_error={f"gci:{VECTOR}": 0.02}, label="far"),
+    )
+    for name in ("a", "b"):
+        (tmp_path / name / "cases").mkdir(parents=True)
+    monkeypatch.setattr(
+        "vdmbench.store.cases.read_run", lambda path: make_run([low, high] if path.name == "a" else [low])
+    )
+    assert do(parse(["compare", str(tmp_path / "a"), str(tmp_path / "b")])) == 0
+    told = capsys.readouterr().out
+    assert re.search(r"bem +7\.00 % ± 2\.00 % +5\.00 % ± 1\.00 %", told)
 
 
 def test_the_verdict_of_a_family_is_gated() -> None:

@@ -17,12 +17,20 @@
     if (cell.dataset.value !== undefined) return cell.dataset.value;
     return safe(words(cell).filter(Boolean).join(", "));
   };
-  const title = (cell) => {
+  const title = (cell, bar = "") => {
     const unit = cell.dataset.unit ? " [" + cell.dataset.unit + "]" : "";
-    return safe(words(cell).filter(Boolean).join(", ") + unit);
+    return safe(words(cell).filter(Boolean).join(", ") + bar + unit);
   };
-  const csv = (table) =>
-    [...table.rows].map((row, k) => [...row.cells].map((cell) => quoted(k ? entry(cell) : title(cell))).join(",")).join("\n") + "\n";
+  // a column of error bars stands after what has some
+  const csv = (table) => {
+    const [head, ...rows] = [...table.rows];
+    const columns = [...head.cells].flatMap((column, k) => {
+      const cells = rows.map((row) => row.cells[k]);
+      const bars = [title(column, " ±"), ...cells.map((cell) => cell.dataset.bar ?? "")];
+      return [[title(column), ...cells.map(entry)], ...(bars.slice(1).some(Boolean) ? [bars] : [])];
+    });
+    return columns[0].map((_, k) => columns.map((column) => quoted(column[k])).join(",")).join("\n") + "\n";
+  };
 
   const download = (table) => {
     const link = document.createElement("a");
