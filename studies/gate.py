@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 
 from .machine import json_text, write_atomically
 from .measures.case import CaseResult, Run
-from .measures.metrics import METRICS, Sense, measurement_error
+from .measures.metrics import METRICS, VECTOR, Sense, measurement_error
 from .measures.uncertainty import SIGNED
 from .store.plain import StoreError, typed
 from .study.kinds import Enters, safe_name
@@ -377,7 +377,13 @@ def _compare_case(label: str, was: Baseline, now: Baseline, whose: str) -> Itera
             changed = (
                 [f"metric version {then.version} -> {here.version}"] if then.version != here.version else []
             )
-            yield _compare_value(label, model, metric, (value, own[metric]), then.unit, versions + changed)
+            found = _compare_value(label, model, metric, (value, own[metric]), then.unit, versions + changed)
+            if found.outcome == STILL_FAILING and None not in (values.get(VECTOR), own.get(VECTOR)):
+                found = replace(found, outcome=SAME)  # the model answers; this metric has no value here
+            elif found.outcome == STILL_FAILING:
+                why = f"no answer, and {whose} has none"
+                found = replace(found, why="; ".join(filter(None, [found.why, why])))
+            yield found
         for metric in sorted(own.keys() - values.keys()):
             yield Finding(NEW, label, model, metric, why=f"{whose} has no such metric")
     for model in sorted(after.values.keys() - before.values.keys()):

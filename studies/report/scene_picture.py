@@ -87,6 +87,12 @@ class Outline:
     segments: np.ndarray  # (E, 2, 3) end points of lines [m]
 
 
+def facets_at(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(F,) mask of the facets with all three nodes in a region (N,); if there are none, of those with one."""
+    inside = np.asarray(nodes)[triangles]
+    return np.asarray(inside.all(axis=1) if inside.all(axis=1).any() else inside.any(axis=1))
+
+
 class Stage:
     """A scene with the camera that shows its parts best; the same arrays give the same drawing.
 
@@ -128,7 +134,7 @@ class Stage:
             return []
         along = _ARROW * self.size * np.asarray(part.vector) / np.linalg.norm(part.vector)
         centre = self.points[nodes].mean(axis=0)
-        inward = -self.area_vectors[self.facets(part)].sum(axis=0)
+        inward = -self.area_vectors[facets_at(nodes, self.triangles)].sum(axis=0)
         # the part's node nearest to its centroid
         node = self.points[nodes][np.argmin(np.linalg.norm(self.points[nodes] - centre, axis=1))]
         tail, tip = (node - along, node) if inward @ along > 0 else (node, node + along)

@@ -23,7 +23,7 @@ from ..verdict.digest import Digest
 from ..verdict.formatting import capital
 from ..verdict.words import said
 from .blocks import Scene
-from .scene_picture import PART, Outline, Part, Stage, scene_svg, style_of
+from .scene_picture import PART, Outline, Part, Stage, facets_at, scene_svg, style_of
 
 _WORDS = Path(__file__).parent / "templates" / "scene.txt"
 # resultant over the sum of facet forces: a contact with less presses from all sides
@@ -199,7 +199,7 @@ def _parts_words(case: CaseResult, name: str) -> str:
 
 def _thrust(case: CaseResult, constraint: Constraint) -> Array | None:
     """(3,) direction in which a contact pushes the body; None if it pushes from all sides."""
-    inside = case.regions[constraint.region][case.triangles].all(axis=1)
+    inside = facets_at(case.regions[constraint.region], case.triangles)
     vectors = facet_area_vectors(case.points, case.triangles[inside])
     total, sizes = vectors.sum(axis=0), np.linalg.norm(vectors, axis=1).sum()
     if np.linalg.norm(total) <= _ALL_ROUND * sizes:

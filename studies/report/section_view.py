@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from solver_common.arrays import Array
 
 from ..measures.case import CaseResult
+from ..measures.metrics import full_load_step
 from ..verdict.digest import Digest
-from ..verdict.formatting import plain, round_below
+from ..verdict.formatting import plain, round_below, short_percent
 from .blocks import Section, Still, Viewer, note
 from .picture import COLOUR_MAPS, Panel, labelled
 from .scene_picture import KINDS, Stage
@@ -31,7 +32,7 @@ MOST_BYTES = 4_000_000  # limit of the viewer's data, so that a page can be mail
 def surface(digest: Digest) -> Section | None:
     """The viewer and a still picture of the first key case; None without cases.
 
-    The viewer has every load step, the full load alone, or nothing, as `MOST_BYTES` allows.
+    The viewer has every load step, that of `opening_step` alone, or nothing, as `MOST_BYTES` allows.
     """
     if not digest.cases or digest.focus is None:
         return None
@@ -57,16 +58,37 @@ def surface(digest: Digest) -> Section | None:
     )
 
 
+def opening_step(digest: Digest, case: CaseResult) -> int:
+    """The step of the largest load that focus model and reference both reached; of full load if there is none."""
+    shown = [case.models[name] for name in map(str, (digest.focus, case.reference)) if name in case.models]
+    answered = [[status.ok for status in one.status] for one in shown]
+    known = np.flatnonzero(np.all(answered, axis=0) & (case.load_factors != 0.0))
+    return int(known[full_load_step(case.load_factors[known])]) if len(known) else case.full_load
+
+
+def _at(case: CaseResult, step: int) -> str:
+    """The load of a step in words, as a share of the full load; "" for the full load."""
+    share = (
+        abs(float(case.load_factors[step] / case.load_factors[case.full_load]))
+        if step != case.full_load
+        else 1.0
+    )
+    return "" if share == 1.0 else f"at {short_percent(share)} of the load, the last that both reached"
+
+
 def heading(digest: Digest, role: str, case: CaseResult) -> tuple[str, str]:
     """Two lines above a picture of one case: the study; the case and the scale of displacements."""
     study = digest.run.study.study.title
     scale = plain(displacement_scale(case))
-    return study, f"{digest.title(role, case)}, drawn with {scale} times the displacement"
+    drawn = f"drawn with {scale} times the displacement"
+    return study, ", ".join(
+        filter(None, [digest.title(role, case), _at(case, opening_step(digest, case)), drawn])
+    )
 
 
 def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
-    """Panels of focus model, reference and their difference at full load, and what they show in words."""
-    step, scale, seen_from = case.full_load, displacement_scale(case), azimuth(case)
+    """Panels of focus model, reference and their difference at `opening_step`, and what they show in words."""
+    step, scale, seen_from = opening_step(digest, case), displacement_scale(case), azimuth(case)
     names = [name for name in dict.fromkeys((digest.focus, case.reference)) if name in case.models]
     fields = {str(name): case.models[str(name)].displacement[step] for name in names}
     fields = {name: u for name, u in fields.items() if np.isfinite(u).all()}
@@ -92,7 +114,7 @@ def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
         gap = float(apart.max())
         panels.append(panel(model, apart, gap, COLOUR_MAPS[1], "difference"))
     moves = {called[name]: float(size.max()) for name, size in sizes.items()}
-    return panels, note("still", moves, gap, scale).text
+    return panels, note("still", moves, gap, scale, _at(case, step)).text
 
 
 # --- the viewer's data ---
@@ -101,7 +123,7 @@ def still(digest: Digest, case: CaseResult) -> tuple[list[Panel], str]:
 def payload(
     digest: Digest, shown: Sequence[CaseResult], models: Sequence[str], history: bool
 ) -> dict[str, object]:
-    """The viewer's JSON for some key cases and models: with `history` every load step, else the full load alone."""
+    """The viewer's JSON for some key cases and models: with `history` all load steps, else `opening_step` alone."""
     roles = {case.hash: role for role, case in digest.key_cases}
     surfaces: dict[tuple[bytes, bytes], int] = {}
     geometries: list[dict[str, object]] = []
@@ -111,7 +133,8 @@ def payload(
         if key not in surfaces:
             surfaces[key] = len(geometries)
             geometries.append(_geometry(case))
-        steps = list(range(len(case.load_factors))) if history else [case.full_load]
+        opens = opening_step(digest, case)
+        steps = list(range(len(case.load_factors))) if history else [opens]
         names = [name for name in models if name in case.models]
         cases.append(
             {
@@ -119,6 +142,7 @@ def payload(
                 "name": case.label,
                 "geometry": surfaces[key],
                 "reference": case.reference if case.reference in names else None,
+                "opens": steps.index(opens),
                 "factors": [float(case.load_factors[step]) for step in steps],
                 "azimuth": azimuth(case),
                 "scale": displacement_scale(case),

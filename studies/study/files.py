@@ -34,8 +34,11 @@ def study_path(study: str | Path) -> Path:
         return path
     if str(study) in known:
         return known[str(study)]
-    beside = sorted(map(str, path.parent.glob("*.toml")))
-    raise InputError(unknown(str(study), [*beside, *known], "study"))
+    names = [*sorted(map(str, path.parent.glob("*.toml"))), *known]
+    if len(path.parts) == 1:
+        raise InputError(unknown(str(study), names, "study"))
+    close = unknown(str(study), names, "study", list_all=False).partition("; ")[1:]
+    raise InputError(f"{shown(str(study), 200)}: there is no such file or directory{''.join(close)}")
 
 
 # --- A study with some of its values replaced ---

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -91,6 +92,17 @@ def test_what_counts_as_worse(metric: str, was: float, now: float, outcome: str)
     assert found.outcome == outcome
     assert gate.regressed([found]) == (outcome in gate.REGRESSED)
     assert ("not one number" in gate.why_not_passed([found])) == (outcome == gate.STILL_FAILING)
+
+
+def test_a_metric_without_a_value_beside_an_answer_is_no_failure_and_a_missing_answer_says_so() -> None:
+    """Right after accept, gate said "still failing: vdm-vector / indentation_force_error" of an answer."""
+    undefined = of_metric(CASE, "vdm-vector", "hausdorff_distance", math.nan)
+    then = gate.baseline_of(make_run([undefined]))
+    assert one(undefined, "hausdorff_distance", then).outcome == gate.SAME
+    lost = of_metric(undefined, "vdm-vector", VECTOR, math.nan)
+    then = gate.baseline_of(make_run([lost]))
+    found = one(lost, "hausdorff_distance", then)
+    assert (found.outcome, found.why) == (gate.STILL_FAILING, "no answer, and the baseline has none")
 
 
 def test_only_full_load_counts_and_the_reference_s_own_error_too() -> None:

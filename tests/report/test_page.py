@@ -21,7 +21,7 @@ from vdmbench.report.blocks import Figures, Viewer
 from vdmbench.report.page import page_html, write_report
 from vdmbench.report.section_charts import errors
 from vdmbench.report.section_tables import small_strain_limits, stopped_models
-from vdmbench.report.section_view import payload
+from vdmbench.report.section_view import payload, still
 from vdmbench.verdict.digest import Digest
 
 
@@ -210,6 +210,24 @@ def test_a_model_that_stopped_is_told_with_a_step_of_the_study() -> None:
         assert one.where == f"the only case, load factor {told}"
 
 
+@pytest.mark.parametrize(
+    ("stopped", "opens"), [({}, 3), ({REFERENCE: 2}, 1), ({REFERENCE: 3, "m": 1}, 0), ({REFERENCE: 0}, 3)]
+)
+def test_the_error_is_first_shown_at_the_last_load_that_model_and_reference_reached(
+    stopped: dict[str, int], opens: int
+) -> None:
+    """Where the reference had ended, the page opened at full load: an empty picture."""
+    case = make_case({"m": 0.1}, stopped=stopped, subdivisions=1)
+    digest = Digest(make_run([case]))
+    for history in (True, False):
+        (shown,) = payload(digest, [case], digest.models, history)["cases"]  # type: ignore[attr-defined]
+        assert shown["factors"][shown["opens"]] == case.load_factors[opens]
+    panels, words = still(digest, case)
+    assert len(panels) == (1 if opens == 3 and stopped else 3)
+    load = f"At {25 * (opens + 1)} % of the load, the last that both reached."
+    assert (load in words) is (opens < 3)
+
+
 def test_a_failed_step_is_a_message_to_the_viewer() -> None:
     digest = Digest(make_run([make_case({"m": 0.1}, stopped={"m": 1}, subdivisions=0)]))
     data = json.loads(json.dumps(payload(digest, digest.cases, digest.models, True), allow_nan=False))
@@ -219,7 +237,7 @@ def test_a_failed_step_is_a_message_to_the_viewer() -> None:
 
 
 @pytest.mark.parametrize(
-    ("share", "told"), [(0.9, "the step of full load only"), (0.01, "too many nodes for a viewer")]
+    ("share", "told"), [(0.9, "one load step only"), (0.01, "too many nodes for a viewer")]
 )
 def test_a_surface_too_large_for_the_page_has_less_of_a_viewer(
     monkeypatch: pytest.MonkeyPatch, share: float, told: str

@@ -88,6 +88,15 @@ def test_the_arrow_of_a_contact(contact: dict[str, object], label: str, down: bo
     np.testing.assert_allclose(direction, [0, 0, -1 if down else 1], atol=1e-6)  # the mesh is symmetric
 
 
+def test_a_contact_of_one_node_has_an_arrow_too() -> None:
+    case = make_case({"m": 0.1})
+    top = np.arange(len(case.points)) == case.points[:, 2].argmax()
+    case = dataclasses.replace(case, regions={**case.regions, "finger": top})
+    _, pin = parts_of(case, [case])
+    normal = case.points[top][0] / np.linalg.norm(case.points[top])
+    assert pin.vector @ -normal == pytest.approx(np.linalg.norm(pin.vector), rel=1e-3)
+
+
 def test_a_moved_region_a_thread_and_a_contact_all_round() -> None:
     case = make_case({"m": 0.1})
     everywhere = np.ones(len(case.points), dtype=bool)

@@ -53,11 +53,13 @@ def test_parts_have_their_colours_where_they_are_and_every_run_draws_the_same() 
     assert not hued(np.asarray(Image.open(io.BytesIO(bare)).convert("RGB")).astype(float), "contact").any()
 
 
+@pytest.mark.parametrize("nodes", [ON_TOP, np.arange(len(POINTS)) == POINTS[:, 2].argmax()])
 @pytest.mark.parametrize(("force", "outside"), [((0, 0, -0.1), "tail"), ((0, 0, 0.1), "head")])
 def test_the_arrow_has_the_direction_of_the_force_and_stays_outside(
-    force: tuple[float, ...], outside: str
+    force: tuple[float, ...], outside: str, nodes: np.ndarray
 ) -> None:
-    tail, head = arrow_of(scene_figure(stage(SUPPORT, finger(*force))))
+    pushed = Part("finger", "contact", nodes, np.array(force), "0.1 N")
+    tail, head = arrow_of(scene_figure(stage(SUPPORT, pushed)))
     assert np.sign(head[1] - tail[1]) == np.sign(force[2])
     assert abs(head[0] - tail[0]) < 1e-9
     assert (tail[1] if outside == "tail" else head[1]) > 0.055

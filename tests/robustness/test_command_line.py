@@ -154,6 +154,8 @@ def test_a_surface_of_the_same_file_name_does_not_overwrite_the_results_of_anoth
         (["run", "small.toml", "--timeout", "-1"], "more than 0"),
         (["run", "small.toml", "--timeout", "nan"], "must be a number of seconds of more than 0, not 'nan'"),
         (["run", "sphere"], 'unknown study "sphere"; known: '),
+        (["export", "results/runs/nope", "--to", "out"], '"results/runs/nope": there is no such file or dir'),
+        (["run", "none/small.toml"], '"none/small.toml": there is no such file or directory\n'),
         (["check", "small.toml", "--surface", "none.stl"], "small.toml:8: geometry.path: "),
     ],
 )

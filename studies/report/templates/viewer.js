@@ -276,8 +276,7 @@ function chooseCase(index) {
   const shown = cases[index];
   const others = shown.models.filter((m) => m.name !== shown.reference).map((m) => m.name);
   const names = others.length ? others : shown.models.map((m) => m.name);
-  const full = shown.factors.reduce((best, f, k, all) => (Math.abs(f) >= Math.abs(all[best]) ? k : best), 0);
-  Object.assign(state, { case: index, step: full, scale: shown.scale, node: null });
+  Object.assign(state, { case: index, step: shown.opens, scale: shown.scale, node: null });
   if (!names.includes(state.model)) state.model = names.includes(focus) ? focus : names[0];
   control("model").replaceChildren(...names.map((name) => option(name, name)));
   control("model").value = state.model;
