@@ -19,7 +19,8 @@ import resource
 import secrets
 import shutil
 import tempfile
-from collections.abc import Container, Iterator, Mapping
+import time
+from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -252,6 +253,12 @@ def usable_processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def processor_share() -> Callable[[], float]:
+    """Tells what share of the time since this call the processor spent on this process, at most 1."""
+    began, worked = time.perf_counter(), time.process_time()
+    return lambda: min(1.0, (time.process_time() - worked) / max(time.perf_counter() - began, 1e-9))
 
 
 def processor_name() -> str:

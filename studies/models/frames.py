@@ -8,6 +8,7 @@ everywhere   a load over the whole free surface, by the model's own solve
 
 All models take turns in rounds, so that other work on the machine slows all of them alike. Each round sets every
 model up anew. Frames up to 20 ms are repeated, so that the clock's resolution and one interruption do not matter.
+Beside the time of a frame is what the processor spent on it: by the share that it spent on the answers around it.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from solver_common.quadrature import facet_quadrature
 from vdm.solvers.columns import ContactColumns, contact_columns
 from vdm.solvers.linear import LinearSolver
 
+from ..machine import processor_share
 from ..scene.result import FrameTimes, ModelResult
 from ..scene.scene import Scene
 from . import Prepared, superposes
@@ -46,7 +48,13 @@ Frame = Callable[[Array], tuple[Array, float]]
 
 
 def frame_times(
-    scene: Scene, names: Sequence[str], rounds: int, budget: float, least: int = 1
+    scene: Scene,
+    names: Sequence[str],
+    rounds: int,
+    budget: float,
+    least: int = 1,
+    limit: float = math.inf,
+    begun: Callable[[str], None] = lambda _: None,
 ) -> dict[str, FrameTimes]:
     """Times of frames of several models on one scene, measured in turns.
 
@@ -55,26 +63,35 @@ def frame_times(
     rounds : most rounds of each model
     budget : seconds after which a model is measured no further, once it has `least` rounds. Rounds after that time
         leave out the frame everywhere
+    limit : of a frame [s]; a model that one round shows to be clearly beyond it has no further one
+    begun : called before each round with what it is
     """
     contact = dataclasses.replace(scene, load_factors=FACTORS, condition=False)
-    taken: dict[str, list[tuple[float, float, float]]] = {name: [] for name in names}
+    taken: dict[str, list[tuple[float, ...]]] = {name: [] for name in names}
+    found: dict[str, FrameTimes] = {}
     spent = dict.fromkeys(names, 0.0)
     gc.collect()
     gc.freeze()  # the collections of each round skip all objects that exist by now
-    for _ in range(rounds):
+    for number in range(rounds):
         for name in names:
+            if name in found and found[name].is_clear(limit):
+                continue
             start = time.perf_counter()
             is_over = spent[name] >= budget
             if not is_over or len(taken[name]) < least:
+                begun(f"{name}, round {number + 1} of at most {rounds}")
                 taken[name].append(one_round(contact, name, everywhere=not is_over))
+                set_up, touch, everything, worked = np.array(taken[name]).T
+                found[name] = FrameTimes(set_up, touch, everything, contact_worked=worked)
             spent[name] += time.perf_counter() - start
-    return {name: FrameTimes(*np.array(times).T) for name, times in taken.items()}
+    return found
 
 
-def one_round(contact: Scene, name: str, *, everywhere: bool = True) -> tuple[float, float, float]:
-    """Seconds of a new set-up, of a frame of the contact by the cheapest way, and of a frame everywhere.
+def one_round(contact: Scene, name: str, *, everywhere: bool = True) -> tuple[float, float, float, float]:
+    """Seconds of a new set-up, of a frame of the contact by the cheapest way, of a frame everywhere, and of the
+    processor for that of the contact.
 
-    NaN for a frame that the model does not have, and for the last if not asked for `everywhere`.
+    NaN for a frame that the model does not have, and for that everywhere if not asked for.
     """
     gc.collect()
     prepared = Prepared(contact, name, MANY)
@@ -82,11 +99,11 @@ def one_round(contact: Scene, name: str, *, everywhere: bool = True) -> tuple[fl
     touch, everything = _frame(contact, prepared, result), math.nan
     if everywhere and not prepared.model.contact_in_setup:  # such a model needs a new set-up for other nodes
         loaded = dataclasses.replace(contact, facet_pressure=pressure_everywhere(contact))
-        everything = _frame(loaded, prepared, prepared.answer(loaded.loads))
+        everything, _ = _frame(loaded, prepared, prepared.answer(loaded.loads))
     problem = prepared.set_up.problem if prepared.set_up is not None else None
     if problem is not None and result.status[0].ok and superposes(name) and _pressed_alone(contact):
         touch = min(touch, _by_columns(problem, contact))
-    return result.seconds_setup, touch, everything
+    return result.seconds_setup, touch[0], everything, touch[1]
 
 
 def pressure_everywhere(scene: Scene) -> Array:
@@ -111,28 +128,33 @@ def _pressed_alone(scene: Scene) -> bool:
     )
 
 
-def _by_columns(problem: Problem, contact: Scene) -> float:
-    """Seconds of a frame by the columns of the contact nodes; the time to make the columns is not counted."""
+def _by_columns(problem: Problem, contact: Scene) -> tuple[float, float]:
+    """`_frame` by the columns of the contact nodes; the time to make the columns is not counted."""
     frame = partial(contact_frame(problem, contact), contact.contact_pressure[contact.contact])
     frame()
     frame()  # the second call shortens the columns
-    return median_seconds(frame)
+    share = processor_share()
+    seconds = median_seconds(frame)
+    return seconds, seconds * share()
 
 
-def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> float:
-    """Median seconds of a load step; short steps are solved again and again."""
+def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> tuple[float, float]:
+    """Median seconds of a load step, and of the processor for it; short steps are solved again and again."""
     once = float(result.seconds_per_step.min())  # the minimum: a step that was interrupted is not typical
     if not once > 0.0:  # also NaN, of a model that could not be set up
-        return math.nan
+        return math.nan, math.nan
     if once >= LONG:
-        return float(np.median(result.seconds_per_step))
+        seconds = float(np.median(result.seconds_per_step))
+        return seconds, seconds * result.processor_share
     loads, steps, end = scene.loads, [], time.perf_counter() + MOST
+    share = processor_share()
     for _ in range(math.ceil(SAMPLES * calls_of_a_sample(once) / len(loads))):
         steps.append(prepared.answer(loads).seconds_per_step)
         if time.perf_counter() > end:
             break
     every = np.concatenate(steps)  # enough for `SAMPLES` samples, each with the mean of consecutive steps
-    return float(np.median([part.mean() for part in np.array_split(every, min(SAMPLES, len(every)))]))
+    seconds = float(np.median([part.mean() for part in np.array_split(every, min(SAMPLES, len(every)))]))
+    return seconds, seconds * share()
 
 
 # --- one frame of a resting contact ---

@@ -17,6 +17,7 @@ REFUSED = "refused"  # status of a model that could not be set up because of its
 REST_DISTANCE = "rest_distance"
 
 LEAST_ROUNDS = 3  # of frames: from here on it is no chance if none is within a limit
+CLEAR = 10.0  # times a limit: so long on the processor, once is enough; parallel work adds less
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,7 @@ class FrameTimes:
     everywhere : a load over the whole free surface, factors kept; NaN for a model without such a frame
     processor : of the machine that measured
     case : label of the case on whose mesh and load they were measured
+    contact_worked : time that the processor spent on `contact`; None in results of older versions
     """
 
     setup: Array
@@ -37,6 +39,23 @@ class FrameTimes:
     everywhere: Array
     processor: str = ""
     case: str = ""
+    contact_worked: Array | None = None
+
+    @property
+    def worked(self) -> Array:
+        """Finite times on the processor alone [s], which other work does not add to; of old results `contact`."""
+        times = self.contact if self.contact_worked is None else self.contact_worked
+        return times[np.isfinite(times)]
+
+    def is_beyond(self, limit: float) -> bool:
+        """Whether a frame of the contact surely takes longer than a limit [s]: in every round, or far in one."""
+        enough = LEAST_ROUNDS if not self.is_clear(limit) else 1
+        return len(self.worked) >= enough and bool((self.worked > limit).all())
+
+    def is_clear(self, limit: float) -> bool:
+        """Whether any one round would be enough to tell that."""
+        known = self.contact_worked is not None and len(self.worked) > 0
+        return known and bool((self.worked > CLEAR * limit).all())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,18 +70,27 @@ class ModelResult(Solution):
     peak_bytes : peak resident memory that the model added
     version : declared version of the model
     frames : measured at the end of a run; None if not measured
+    processor_share : of the time of the answer, what the processor spent on it; NaN if not known
     """
 
     volume: Array
     peak_bytes: int
     version: str
     frames: FrameTimes | None = None
+    processor_share: float = np.nan
 
     @property
     def frame_time(self) -> float:
         """Median of the measured times of a frame of the contact [s]; NaN where none was measured."""
         times = self.frames.contact if self.frames is not None else np.zeros(0)
         known = times[np.isfinite(times)]
+        return float(np.median(known)) if len(known) else np.nan
+
+    @property
+    def frame_worked(self) -> float:
+        """The part of `frame_time` that the processor spent on it [s]; NaN where that was not measured."""
+        frames = self.frames
+        known = frames.worked if frames is not None and frames.contact_worked is not None else np.zeros(0)
         return float(np.median(known)) if len(known) else np.nan
 
     def __post_init__(self) -> None:

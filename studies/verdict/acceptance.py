@@ -16,7 +16,7 @@ from ..machine import processor_name
 from ..measures.case import CaseResult
 from ..measures.metrics import DEFORMATION, VECTOR, max_nodal_error
 from ..measures.pushed import Answer, Pushed
-from ..scene.result import LEAST_ROUNDS, ModelResult
+from ..scene.result import ModelResult
 from ..study.loads import Constraint
 from ..study.registry import SCANNED
 from ..study.schema import Study, extras_of, has_weight
@@ -80,8 +80,9 @@ def states_of(values: Array, bars: Array, allowed: float | Array) -> States:
 def time_state(result: ModelResult | None, allowed: float) -> int:
     """How a model's times of a frame stand against a limit [s]. A busy machine makes times longer, never shorter.
 
-    WITHIN if three of four rounds keep the limit, BEYOND if none of `LEAST_ROUNDS` or more does, else OPEN. OPEN
-    too if the frames were not measured in turns with the other models', or on another machine.
+    WITHIN if three of four rounds keep the limit, BEYOND if the processor alone takes longer in all of at least
+    `LEAST_ROUNDS`, or `CLEAR` times as long in one, else OPEN. OPEN too if the frames were not measured when the
+    run ended, or on another machine.
     """
     frames = result.frames if result is not None else None
     if frames is None or frames.processor != processor_name():
@@ -91,7 +92,7 @@ def time_state(result: ModelResult | None, allowed: float) -> int:
         return OPEN
     if np.quantile(times, 0.75, method="lower") <= allowed:
         return WITHIN
-    return BEYOND if len(times) >= LEAST_ROUNDS and times.min() > allowed else OPEN
+    return BEYOND if frames.is_beyond(allowed) else OPEN
 
 
 def counted(states: States) -> dict[str, int]:

@@ -311,8 +311,11 @@ def the_time(shortfall: Shortfall) -> Iterator[Reason]:
     for limit in (c for c in digest.criteria if not c.of_load):
         states = set(digest.at_full(digest.states(model, limit)).tolist())
         if states & {BEYOND, OPEN}:
-            slowest = float(np.nanmax(digest.full_loads(model, limit.metric), initial=0.0))
-            yield Reason(TIME, {limit.key: slowest}, {"sure": BEYOND in states, "coarser": coarser})
+            times = np.nan_to_num(digest.full_loads(model, limit.metric))
+            slowest = int(np.argmax(times))
+            worked = float(times[slowest] - digest.time_bars(model)[slowest])
+            numbers = {limit.key: float(times[slowest])} | ({"worked": worked} if worked > 0.0 else {})
+            yield Reason(TIME, numbers, {"sure": BEYOND in states, "coarser": coarser})
 
 
 # in the order in which they are told

@@ -218,6 +218,11 @@ class Digest:
         """(C,) error bar of the reference in a metric of every case, NaN if there is none."""
         return np.array([reference_bar(case.reference_error, metric) for case in self.cases], dtype=float)
 
+    def time_bars(self, model: str) -> Array:
+        """(C,) what a busy machine added at most to a model's time of a frame [s], NaN where not measured."""
+        results = [case.models.get(model) for case in self.cases]
+        return np.array([r.frame_time - r.frame_worked if r is not None else math.nan for r in results])
+
     def spread(self, model: str, metric: str) -> Spread | None:
         """Spread of a model's metric at full load over all cases; None if no case has it."""
         if (model, metric) not in self._histories:

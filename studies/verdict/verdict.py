@@ -259,7 +259,8 @@ def _family(digest: Digest, family: Family, unjudged: Mapping[str, str]) -> Verd
 
 def _limit(digest: Digest, model: str, one: Criterion) -> Limit:
     """One limit over all cases, with the numbers of the case that is worst against it."""
-    values, bars = digest.full_loads(model, one.metric), digest.bars(one.metric)
+    values = digest.full_loads(model, one.metric)
+    bars = digest.bars(one.metric) if one.of_load else digest.time_bars(model)
     states = digest.at_full(digest.states(model, one))
     asked = states[states != NOT_ASKED]
     deciding = next((state for state in _WORST if state in asked), None)

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import tomli_w
 
-from ..machine import LockedError, clear_abandoned, lock, write_atomically
+from ..machine import LockedError, clear_abandoned, lock, plain, write_atomically
 from ..measures.case import Run
-from ..scene.result import LEAST_ROUNDS
 from ..store.cases import told_run
 from ..store.run_directory import (
     REPORT,
@@ -29,6 +28,7 @@ from .explain import beyond_memory, require_own, summary
 from .plan import Plan, PlannedCase
 from .pool import Pool, local_pool, run_tasks
 from .tasks import Task, case_payload, tasks_of
+from .times import to_time
 from .worker import Said
 
 Finish = Callable[[Path], tuple[Run, Path]]
@@ -192,13 +192,17 @@ def _time_frames(
     pool: Pool,
 ) -> None:
     """Measure frame times when nothing else of this run is active; a failure loses only the times."""
-    every, least = options.times or _decides(plan), LEAST_ROUNDS if _decides(plan) else 1
+    every = options.times or _decides(plan)
     asked = plan.in_shard(options.shard) if every else cases
-    first = {case.mesh: case for case in reversed(asked) if plan.case_file(case).exists()}
-    if not first:
+    limit = plan.study.acceptance.frame_time if _decides(plan) and not options.times else None
+    items = [
+        case_payload(one.case, plan) | {"names": one.names, "known": plain(one.known)}
+        for one in to_time(plan, asked, every=every, limit=limit)
+    ]
+    if not items:
         return
-    items = [case_payload(case, plan) for case in reversed(first.values())]
-    payload = {"directory": str(plan.directory.absolute()), "every": every, "least": least, "items": items}
+    payload = {"directory": str(plan.directory.absolute()), "every": every, "decides": _decides(plan)}
+    payload |= {"limit": limit, "items": items}
     task = Task("times", "times", "times of a frame", payload, frozenset())
     watch(Event("started", task.label))
     for _, said in run_tasks(

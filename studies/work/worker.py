@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import fcntl
 import json
+import math
 import os
 import re
 import sys
@@ -24,13 +25,13 @@ from ..body.refine import Hierarchy, refine, refined
 from ..machine import processor_name
 from ..measures.reference import level_scene, restricted
 from ..models import Prepared
-from ..scene.result import steps_of
+from ..scene.result import LEAST_ROUNDS, FrameTimes, steps_of
 from ..scene.scene import Scene, build_scene
 from ..store.plain import typed
 from ..store.run_directory import add_times
 from ..study.errors import InputError, install_line
 from ..study.schema import Study
-from .cache import answer_path, read_answer, write_answer
+from .cache import answer_path, write_answer
 from .case import make_case
 from .keys import level_key
 from .plan import PlannedCase
@@ -42,7 +43,6 @@ OUT_OF_MEMORY = re.compile(
 MORE_MEMORY = "use a coarser mesh, or fewer --jobs"
 WHERE = "where: "  # prefix of a log line with the progress of a solve
 _APART = 2.0  # s between such lines
-SLOW = 20.0  # s of a set-up and a step: slower models are not solved again for times alone
 TIMES_BUDGET = 5.0  # s for the times of all meshes, unless every time is requested
 
 Payload = Mapping[str, Any]
@@ -128,38 +128,35 @@ def _case(payload: Payload) -> None:
 
 
 def _times(payload: Payload) -> None:
-    """Frame times on the first finished case of each mesh, for all models in turns, into one file.
+    """Frame times of what `to_time` chose, all models of a mesh in turns, into one file.
 
-    Unless `every` time is requested, slow models are left out, whose time one answer gives, and meshes for which
-    no time is left.
+    Unless `every` time is requested, meshes are left out for which no time is left.
     """
     from ..models.frames import frame_times  # loads the solvers, slow
 
     every, end = payload["every"], time.perf_counter() + TIMES_BUDGET
     rounds, budget = (5, 10.0) if every else (3, 2.0)
-    found = {}
+    least, limit = LEAST_ROUNDS if payload["decides"] else 1, payload["limit"]
+    found, at = {}, ""
+
+    def begun(what: str) -> None:
+        nonlocal at
+        at = what
+        _say(at)
+
     for item in payload["items"]:
         if not every and time.perf_counter() > end:
             break
         case = typed(PlannedCase, item["case"])
-        slow = set() if every else _slow(case, Path(item["cache"]))
-        names = [name for name in case.study.study.models if name not in slow]
         about: Any = {"case": case.label, "processor": processor_name()}
-        times = frame_times(
-            build_scene(case.study, _meshes(item, 0).finest), names, rounds, budget, payload["least"]
-        )
-        found[case.mesh] = {name: dataclasses.replace(one, **about) for name, one in times.items()}
+        times: dict[str, FrameTimes] = {}
+        if names := item["names"]:
+            scene = build_scene(case.study, _meshes(item, 0).finest)
+            with reported(_tell_log(lambda: f"{at}: ")):
+                times = frame_times(scene, names, rounds, budget, least, limit or math.inf, begun)
+        known = typed(dict[str, FrameTimes], item["known"])
+        found[case.mesh] = {name: dataclasses.replace(one, **about) for name, one in (times | known).items()}
     add_times(Path(payload["directory"]), found)
-
-
-def _slow(case: PlannedCase, cache: Path) -> set[str]:
-    """Models of a case whose set-up and one load step take longer than `SLOW`."""
-    found = set()
-    for want in case.wanted:
-        answer = read_answer(answer_path(cache, want.answers[0]))
-        if answer is None or not answer.seconds_setup + answer.seconds_per_step.max() < SLOW:
-            found.add(want.name)
-    return found
 
 
 _KINDS: dict[str, Callable[[Payload], None]] = {
@@ -220,8 +217,14 @@ def _outcome(work: Callable[[], object]) -> tuple[str, str, str]:
     return "done", "", ""
 
 
-def _tell_log() -> Callable[[Progress], None]:
-    """Log the progress of a nonlinear solve, every `_APART` s, for the run to show, or to keep after a failure."""
+def _say(line: str) -> None:
+    """Log where a task is, for the run to show, or to keep after a failure."""
+    with contextlib.suppress(OSError):  # a full disk does not end a solve
+        os.write(1, f"{WHERE}{line}\n".encode())
+
+
+def _tell_log(of: Callable[[], str] = str) -> Callable[[Progress], None]:
+    """Log the progress of a nonlinear solve, after the words `of` what it is, every `_APART` s."""
     told = time.monotonic()
 
     def tell(at: Progress) -> None:
@@ -231,9 +234,8 @@ def _tell_log() -> Callable[[Progress], None]:
         told = time.monotonic()
         of_all = f" of {at.steps}" if at.steps else ""
         step = "load" if at.steps == 1 else f"load step {at.step + 1}{of_all}"
-        line = f"{step} at {100 * at.share:.3g} %, iteration {at.iteration}, residual {at.residual:.1e}"
-        with contextlib.suppress(OSError):  # a full disk does not end a solve
-            os.write(1, f"{WHERE}{line}\n".encode())
+        share, residual = f"{100 * at.share:.3g} %", f"{at.residual:.1e}"
+        _say(f"{of()}{step} at {share}, iteration {at.iteration}, residual {residual}")
 
     return tell
 

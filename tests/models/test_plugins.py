@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 
 from solver_common.solution import CONVERGED, Solution
 from tests.command import SMALL_STUDY, vdmbench_process
-from vdmbench import models
+from vdmbench import machine, models
 from vdmbench.body.geometry import build_mesh
 from vdmbench.models.frames import frame_times
 from vdmbench.scene.scene import Scene, build_scene
@@ -161,6 +162,28 @@ def test_a_model_with_no_time_left_has_the_rounds_that_decide(scene: Scene) -> N
     for least in (1, 3):
         found = frame_times(scene, ["theirs"], 5, 0.0, least=least)["theirs"]
         assert np.isfinite(found.contact).tolist() == [True] * least
+
+
+@pytest.mark.parametrize(("limit", "rounds"), [(1e-3, 1), (2e-3, 3)])
+def test_a_frame_is_timed_with_the_part_that_the_processor_works(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, limit: float, rounds: int
+) -> None:
+    """Of each step of 40 ms it works 16 ms, which one round shows to be clearly beyond 1 ms."""
+    at = {"wall": 0.0, "work": 0.0}
+
+    def busy(seconds: np.ndarray) -> np.ndarray:
+        at["wall"] += 0.04 * len(seconds)
+        at["work"] += 0.016 * len(seconds)
+        return seconds + 0.04
+
+    clocks = SimpleNamespace(perf_counter=lambda: at["wall"], process_time=lambda: at["work"])
+    monkeypatch.setattr(machine, "time", clocks)
+    models.register(_plugin(_set("seconds_per_step", busy)))
+    said: list[str] = []
+    found = frame_times(scene, ["theirs"], 3, 0.0, least=3, limit=limit, begun=said.append)["theirs"]
+    assert found.contact == pytest.approx(np.full(rounds, 0.04))
+    assert found.contact_worked == pytest.approx(np.full(rounds, 0.016))
+    assert said == [f"theirs, round {k + 1} of at most 3" for k in range(rounds)]
 
 
 @pytest.mark.parametrize(("told", "known"), [(0.0, False), (1e-9, True)])

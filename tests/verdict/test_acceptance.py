@@ -14,6 +14,8 @@ from vdmbench.scene.result import FrameTimes
 from vdmbench.study.config import load_study
 from vdmbench.verdict.acceptance import BEYOND, LOST, OPEN, WITHIN
 from vdmbench.verdict.digest import Digest
+from vdmbench.verdict.verdict import verdicts
+from vdmbench.verdict.words import why_not
 
 
 def limits_of(tmp_path: Path, table: str) -> dict[str, Any]:
@@ -120,3 +122,36 @@ def test_a_time_decides_where_its_spread_and_its_run_allow(
     frames = FrameTimes(rounds, rounds, rounds, processor or processor_name())
     case = of_model(case, "vdm-m", frames=frames if times is not None else None)
     assert states(case, frame_time=1e-3)["frame_time"] == state
+
+
+@pytest.mark.parametrize(
+    ("times", "worked", "state"),
+    [
+        ((4e-3,) * 4, (1.6e-3, 1.5e-3, 1.7e-3, 1.6e-3), BEYOND),
+        ((4e-3,) * 4, (1.6e-3, 0.9e-3, 1.7e-3, 1.6e-3), OPEN),  # of a busy machine
+        ((4e-3,) * 4, (0.4e-3,) * 4, OPEN),
+        ((0.9e-3,) * 4, (0.4e-3,) * 4, WITHIN),
+        ((40e-3,), (16e-3,), BEYOND),  # once, but far
+        ((40e-3,), (9e-3,), OPEN),
+        ((40e-3,), (np.nan,), OPEN),
+    ],
+)
+def test_time_that_a_busy_machine_adds_decides_nothing(
+    times: tuple[float, ...], worked: tuple[float, ...], state: int
+) -> None:
+    frames = FrameTimes(*[np.array(times)] * 3, processor_name(), contact_worked=np.array(worked))
+    case = of_model(make_case({"vdm-m": 0.01}, subdivisions=0), "vdm-m", frames=frames)
+    assert states(case, frame_time=1e-3)["frame_time"] == state
+
+
+def test_the_bar_of_a_time_is_what_a_busy_machine_added() -> None:
+    times = np.array([40e-3, 41e-3, 37e-3])
+    frames = FrameTimes(times, times, times, processor_name(), contact_worked=np.array([16e-3, 17e-3, 15e-3]))
+    case = of_model(make_case({"vdm-vector": 0.01}, subdivisions=0), "vdm-vector", frames=frames)
+    found = verdicts(Digest(make_run([case], acceptance={"frame_time": 20e-3})))["vdm-derived"]
+    (limit,) = (limit for limit in found.limits if limit.key == "frame_time")
+    assert (limit.word, limit.value, limit.bar) == ("undecided", 40e-3, pytest.approx(24e-3))
+    (text,) = why_not(found)
+    assert text.startswith(
+        "the time: 40 ms was measured for a frame, of which the processor works 16 ms, on both"
+    )
