@@ -92,8 +92,8 @@ def _scanned(scene: Scene, name: str) -> SetUp:
                 least = needed
         solver().least = number
         sagged = np.asarray(weighed.displacement[0])
-        if (error := weighed.scalars.get("parts_error", np.zeros(1))[0]) > 0.0:
-            search.doubt(error * sagged)
+        if (finer := solver().finer) is not None:
+            search.doubt(finer - sagged)
         seconds += clock() - began
         return found, sagged
 

@@ -2,8 +2,8 @@
 
 import dataclasses
 import re
-from collections.abc import Sequence
 from typing import Any
+from unittest import mock
 
 import numba
 import numpy as np
@@ -18,8 +18,10 @@ from solver_common.progress import Progress, reported
 from solver_common.solution import Solution, SolverError, Status, solver_error
 from vdmbench import models
 from vdmbench.body.geometry import build_mesh
+from vdmbench.models import surface
 from vdmbench.models.scanned import from_scan, rest_shape
-from vdmbench.scene.scene import Scene, SurfaceLoad, build_scene
+from vdmbench.scene.result import ModelResult
+from vdmbench.scene.scene import Scene, build_scene
 from vdmbench.study.schema import Study
 
 WEIGHT = [0.0, 0.0, -9.81]
@@ -132,39 +134,36 @@ BLOCK = BALL | {
 }
 
 
+def _led_back(weighed: dict[str, Any]) -> tuple[ModelResult, Array, ModelResult, Array]:
+    """What is known of a body under its weight with its sag (N, 3) [m], and both of its scan."""
+    study = Study.model_validate(weighed)
+    known = build_scene(study, build_mesh(study.geometry, volume=False))
+    scanned = Study.model_validate(weighed | {"gravity": {"acceleration": WEIGHT, "scanned": True}})
+    mesh = dataclasses.replace(known.mesh, points=_sagged(known, "bem:nonlinear"))
+    scan, straight = build_scene(scanned, mesh, known.regions), models.run_model(known, "bem:nonlinear")
+    with mock.patch.object(surface, "from_scan", wraps=from_scan) as met:
+        result = models.run_model(scan, "bem:nonlinear")
+    return straight, straight.displacement[0], result, met.call_args.args[2]
+
+
 @pytest.mark.parametrize(
     ("body", "parts", "least"), [(ORGAN, 2, 0.02), (BOX, 2, 0.02), (BALL, 1, 0.005), (BLOCK, 1, 0.002)]
 )
-def test_a_body_is_recovered_as_its_rest_shape_is_cut(
-    body: dict[str, Any], parts: int, least: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_body_is_recovered_as_its_rest_shape_is_cut(body: dict[str, Any], parts: int, least: float) -> None:
     """Cut as its scan is, an organ's sag was 2 % off; a symmetric body's, cut where rounding led, 0.2 %.
 
     A ball of few facets, those at its rim cut as its scan asks for, was 1.8 % off; a block on a symmetric mesh,
     where equal lengths led, 0.3 %.
     """
-    weighed = STUDY | body | {"load": {"factors": [0.0]}}
-    study = Study.model_validate(weighed)
-    known = build_scene(study, build_mesh(study.geometry, volume=False))
-    straight, found = models.run_model(known, "bem:nonlinear"), list[Array]()
+    straight, sag, _, found = _led_back(STUDY | body | {"load": {"factors": [0.0]}})
     assert straight.scalars["parts"] == parts
-
-    def watched(solution: Solution, loads: Sequence[SurfaceLoad], sag: Array, *more: float) -> Solution:
-        found.append(sag)
-        return from_scan(solution, loads, sag, *more)
-
-    monkeypatch.setattr("vdmbench.models.surface.from_scan", watched)
-    scanned = Study.model_validate(weighed | {"gravity": {"acceleration": WEIGHT, "scanned": True}})
-    mesh = dataclasses.replace(known.mesh, points=_sagged(known, "bem:nonlinear"))
-    models.run_model(build_scene(scanned, mesh, known.regions), "bem:nonlinear")
-    sag = straight.displacement[0]
     assert np.abs(sag).max() > least
-    assert_allclose(found[0], sag, rtol=0, atol=1e-3 * np.abs(sag).max())
+    assert_allclose(found, sag, rtol=0, atol=1e-3 * np.abs(sag).max())
 
 
 SOFT = {
-    "geometry": {"shape": "organ", "size": 0.2, "mesh_size": 0.017},
-    "tissue": {"youngs_modulus": 12000.0, "poisson_ratio": 0.49},
+    "geometry": {"shape": "organ", "size": 0.2, "mesh_size": 0.0145},
+    "tissue": {"youngs_modulus": 14000.0, "poisson_ratio": 0.49},
     "constraints": STUDY["constraints"][:1],
 }
 
@@ -175,22 +174,20 @@ SOFT = {
 def test_a_rest_shape_that_depends_on_where_it_is_cut_says_how_far_that_leaves_it_open(
     body: dict[str, Any], parts: int, *, told: bool
 ) -> None:
-    """Further than its largest sag is off. A ball's is cut anew on and on; the organ's settles, but not alone."""
-    weighed = STUDY | body | {"load": {"factors": [0.0]}, "vdm": {"parts": parts}}
-    study = Study.model_validate(weighed)
-    known = build_scene(study, build_mesh(study.geometry, volume=False))
-    points = _sagged(known, "bem:nonlinear")
-    scanned = Study.model_validate(weighed | {"gravity": {"acceleration": WEIGHT, "scanned": True}})
-    scan = build_scene(scanned, dataclasses.replace(known.mesh, points=points), known.regions)
-    result = models.run_model(scan, "bem:nonlinear")
+    """A ball's is cut anew on and on; the organ's settles, but not alone.
+
+    By `parts_error` times its sag the organ, 1.5 % off, said nothing.
+    """
+    _, sag, result, again = _led_back(STUDY | body | {"load": {"factors": [0.0]}, "vdm": {"parts": parts}})
     (status,) = result.status
     assert status.ok
     found = re.search(r"the rest shape is known to ([\d.]+) mm", status.message)
-    assert (found is not None) == told
+    largest = float(np.linalg.norm(sag, axis=1).max())
+    off = float(np.linalg.norm(again - sag, axis=1).max())
+    assert (off > 1e-3 * largest) == (found is not None) == told
     if found is not None:
-        sag = float(np.linalg.norm(points - known.mesh.points, axis=1).max())
-        off = abs(result.scalars["rest_distance"][0] - sag)
-        assert 0.0 < 1e3 * off < float(found[1]) < 1e3 * sag
+        difference = abs(result.scalars["rest_distance"][0] - largest)
+        assert 0.0 < 1e3 * difference < float(found[1]) < 1e3 * largest
 
 
 @pytest.mark.parametrize("model", ["bem:nonlinear", "fem"])

@@ -151,6 +151,12 @@ class PartsSolver:
         return self.solver.audited(load, step)
 
     @property
+    def finer(self) -> Array | None:
+        """(N, 3) displacement of twice the parts under the last load of `scalars` [m]; None if it was not found."""
+        step = self._finer_step
+        return None if step is None or not step.status.ok else step.displacement
+
+    @property
     def part_of_node(self) -> Index | None:
         """(N,) as in `Solution`."""
         return self.body.owner + 1 if self.body.n_parts > 1 else None
