@@ -31,7 +31,6 @@ from solver_common.quadrature import facet_quadrature
 from vdm.solvers.columns import ContactColumns, contact_columns
 from vdm.solvers.linear import LinearSolver
 
-from ..machine import processor_share
 from ..scene.result import FrameTimes, ModelResult
 from ..scene.scene import Scene
 from . import Prepared, superposes
@@ -133,9 +132,8 @@ def _by_columns(problem: Problem, contact: Scene) -> tuple[float, float]:
     frame = partial(contact_frame(problem, contact), contact.contact_pressure[contact.contact])
     frame()
     frame()  # the second call shortens the columns
-    share = processor_share()
     seconds = median_seconds(frame)
-    return seconds, seconds * share()
+    return seconds, min(seconds, median_seconds(frame, time.process_time))
 
 
 def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> tuple[float, float]:
@@ -146,15 +144,16 @@ def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> tuple[float
     if once >= LONG:
         seconds = float(np.median(result.seconds_per_step))
         return seconds, seconds * result.processor_share
-    loads, steps, end = scene.loads, [], time.perf_counter() + MOST
-    share = processor_share()
+    loads, found, end = scene.loads, [], time.perf_counter() + MOST
     for _ in range(math.ceil(SAMPLES * calls_of_a_sample(once) / len(loads))):
-        steps.append(prepared.answer(loads).seconds_per_step)
+        again = prepared.answer(loads)
+        found.append(np.outer((1.0, again.processor_share), again.seconds_per_step))
         if time.perf_counter() > end:
             break
-    every = np.concatenate(steps)  # enough for `SAMPLES` samples, each with the mean of consecutive steps
-    seconds = float(np.median([part.mean() for part in np.array_split(every, min(SAMPLES, len(every)))]))
-    return seconds, seconds * share()
+    every = np.concatenate(found, axis=1)  # enough for `SAMPLES` samples, each the mean of consecutive steps
+    samples = [part.mean(axis=1) for part in np.array_split(every, min(SAMPLES, every.shape[1]), axis=1)]
+    seconds, worked = np.median(samples, axis=0).tolist()
+    return seconds, worked
 
 
 # --- one frame of a resting contact ---
@@ -200,9 +199,9 @@ def _element_columns(problem: LinearProblem | CondensedProblem, scene: Scene, no
 # --- calls too short for one reading of the clock ---
 
 
-def median_seconds(call: Callable[[], object]) -> float:
-    """Median seconds of a call: of `SAMPLES` samples, each the mean of enough calls to take `SAMPLE` or longer."""
-    timer = timeit.Timer(call)
+def median_seconds(call: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+    """Median seconds by a clock: of `SAMPLES` samples, each the mean of enough calls to take `SAMPLE` or longer."""
+    timer = timeit.Timer(call, timer=clock)
     number = calls_of_a_sample(min(timer.repeat(SAMPLES, 1)))
     return float(np.median(timer.repeat(SAMPLES, number))) / number
 

@@ -17,7 +17,7 @@ REFUSED = "refused"  # status of a model that could not be set up because of its
 REST_DISTANCE = "rest_distance"
 
 LEAST_ROUNDS = 3  # of frames: from here on it is no chance if none is within a limit
-CLEAR = 10.0  # times a limit: so long on the processor, once is enough; parallel work adds less
+CLEAR = 3.0  # times a limit: so long on the processor, one round is enough, as rounds differ by up to 2.2
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from ..store.plain import StoreError
 from ..study.registry import superposes
 from .plan import Plan, PlannedCase
 
+FIRST = 5.0  # times a frame: what a first answer takes on the processor, at most 5.1 of 16 measured
 SLOW = 20.0  # s of a set-up and a step: slower models are not solved again for times alone
 
 
@@ -45,7 +46,7 @@ def to_time(plan: Plan, cases: Sequence[PlannedCase], *, every: bool, limit: flo
             if result is None or not result.status[case.full_load].ok or name in (*one.names, *one.known):
                 continue
             once = _of_answer(case, name, result)
-            if limit is not None and once is not None and once.is_clear(limit):
+            if limit is not None and once is not None and once.is_clear(FIRST * limit):
                 one.known[name] = once
             elif every or result.seconds_setup + result.seconds_per_step.max() < SLOW:
                 one.names.append(name)

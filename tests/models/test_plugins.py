@@ -164,11 +164,11 @@ def test_a_model_with_no_time_left_has_the_rounds_that_decide(scene: Scene) -> N
         assert np.isfinite(found.contact).tolist() == [True] * least
 
 
-@pytest.mark.parametrize(("limit", "rounds"), [(1e-3, 1), (2e-3, 3)])
+@pytest.mark.parametrize(("limit", "rounds"), [(5e-3, 1), (6e-3, 3)])
 def test_a_frame_is_timed_with_the_part_that_the_processor_works(
     scene: Scene, monkeypatch: pytest.MonkeyPatch, limit: float, rounds: int
 ) -> None:
-    """Of each step of 40 ms it works 16 ms, which one round shows to be clearly beyond 1 ms."""
+    """Of each step of 40 ms it works 16 ms, which one round shows to be clearly beyond 5 ms."""
     at = {"wall": 0.0, "work": 0.0}
 
     def busy(seconds: np.ndarray) -> np.ndarray:
