@@ -10,7 +10,7 @@ from pathlib import Path
 
 import tomli_w
 
-from ..machine import LockedError, clear_abandoned, lock, plain, write_atomically
+from ..machine import LockedError, clear_abandoned, lock, write_atomically
 from ..measures.case import Run
 from ..store.cases import told_run
 from ..store.run_directory import (
@@ -195,10 +195,8 @@ def _time_frames(
     every = options.times or _decides(plan)
     asked = plan.in_shard(options.shard) if every else cases
     limit = plan.study.acceptance.frame_time if _decides(plan) and not options.times else None
-    items = [
-        case_payload(one.case, plan) | {"names": one.names, "known": plain(one.known)}
-        for one in to_time(plan, asked, every=every, limit=limit)
-    ]
+    chosen = to_time(plan, asked, every=every)
+    items = [case_payload(one.case, plan) | {"names": one.names} for one in chosen]
     if not items:
         return
     payload = {"directory": str(plan.directory.absolute()), "every": every, "decides": _decides(plan)}

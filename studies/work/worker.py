@@ -25,7 +25,7 @@ from ..body.refine import Hierarchy, refine, refined
 from ..machine import processor_name
 from ..measures.reference import level_scene, restricted
 from ..models import Prepared
-from ..scene.result import LEAST_ROUNDS, FrameTimes, steps_of
+from ..scene.result import LEAST_ROUNDS, steps_of
 from ..scene.scene import Scene, build_scene
 from ..store.plain import typed
 from ..store.run_directory import add_times
@@ -149,13 +149,10 @@ def _times(payload: Payload) -> None:
             break
         case = typed(PlannedCase, item["case"])
         about: Any = {"case": case.label, "processor": processor_name()}
-        times: dict[str, FrameTimes] = {}
-        if names := item["names"]:
-            scene = build_scene(case.study, _meshes(item, 0).finest)
-            with reported(_tell_log(lambda: f"{at}: ")):
-                times = frame_times(scene, names, rounds, budget, least, limit or math.inf, begun)
-        known = typed(dict[str, FrameTimes], item["known"])
-        found[case.mesh] = {name: dataclasses.replace(one, **about) for name, one in (times | known).items()}
+        scene = build_scene(case.study, _meshes(item, 0).finest)
+        with reported(_tell_log(lambda: f"{at}: ")):
+            times = frame_times(scene, item["names"], rounds, budget, least, limit or math.inf, begun)
+        found[case.mesh] = {name: dataclasses.replace(one, **about) for name, one in times.items()}
     add_times(Path(payload["directory"]), found)
 
 
