@@ -41,6 +41,15 @@ def test_a_cut_surface_is_the_same_body() -> None:
     assert whole.surface is BODY
 
 
+def test_a_mirrored_body_is_cut_as_its_mirror_image() -> None:
+    """Also along a rim so long that walks do not tell its nodes apart: lengths do."""
+    points, triangles = box(counts=(2, 24, 3), size=(0.02, 0.24, 0.03))
+    held = points[:, 2] <= points[:, 2].min()
+    bodies = SurfaceMesh(points, triangles), SurfaceMesh(points * [1.0, -1.0, 1.0], triangles[:, ::-1])
+    one, other = (np.sort(Rims.of(body, held).surface.triangles, axis=1).tolist() for body in bodies)
+    assert sorted(one) == sorted(other)
+
+
 @pytest.mark.parametrize("nu", [0.3, 0.45])
 def test_the_eliminated_nodes_leave_the_answer_of_the_cut_surface(nu: float) -> None:
     """Forces at all its nodes, the new ones adding nothing to the volume: one system with a multiplier for that."""
