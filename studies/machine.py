@@ -81,10 +81,13 @@ def write_atomically(path: Path, data: bytes, *, durable: bool = True) -> None:
     ------
     OSError
         disk full or read-only, or a directory of that name; it names `path`, and no file is left behind. A link
-        of that name is replaced, not followed.
+        of that name is replaced, not followed, unless it leads to a device or a pipe, which are written to.
     """
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "a directory is in a file's place; remove it", str(path))
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)
+        return None
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name[:_LONGEST]}.{secrets.token_hex(8)}{_PART}")
     try:

@@ -190,3 +190,18 @@ def test_what_a_killed_process_left_is_cleared_and_what_is_being_written_is_not(
     with lock(tmp_path / ".alive.cd.part"):
         clear_abandoned(tmp_path)
         assert [path.name for path in tmp_path.iterdir()] == [".alive.cd.part"]
+
+
+def test_a_device_or_a_pipe_is_written_to_and_stays(tmp_path: Path) -> None:
+    """`--out /dev/stdout` of root would else put a file in its place."""
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        write_atomically(link, b"told")
+        assert os.read(reader, 10) == b"told"
+    finally:
+        os.close(reader)
+    assert link.is_symlink()
+    assert pipe.is_fifo()
