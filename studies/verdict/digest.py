@@ -347,8 +347,8 @@ class Digest:
     def deciding(self, family: Family) -> str:
         """The model that decides for a family: the one with the best word, then with the least median error.
 
-        Ties, also of models without an answer in most cases, go to the model with the most answers. Time does not
-        count. So a further model never makes the word of its family worse.
+        A word counts time, an error does not. Ties, also of models without an answer in most cases, go to the
+        model with the most answers. So a further model never makes the word of its family worse.
         """
 
         def rank(model: str) -> tuple[float, ...]:

@@ -92,9 +92,9 @@ def of_unit(value: float, unit: str, bar: float = math.nan) -> str:
 
 
 def measure(value: float, unit: str = "1", bar: float = math.nan) -> str:
-    """A number to compare with a limit, and its error bar if known: `39.7 % ± 2 %`."""
+    """A number to compare with a limit, and its error bar if known and not zero: `39.7 % ± 2 %`."""
     text = short_percent(value) if unit == "1" else quantity(value, unit)
-    return f"{text} ± {measure(bar, unit)}" if math.isfinite(bar) else text
+    return f"{text} ± {measure(bar, unit)}" if 0.0 < bar < math.inf else text
 
 
 def loads_in_words(loads: Sequence[float], unit: str) -> str:

@@ -337,7 +337,7 @@ def test_nobody_is_told_to_take_a_model_that_is_not_within_the_limits() -> None:
     resting, moving, cutting, _ = ("".join(said("take", one)) for one in by_interaction(Digest(run)))
     none = "no surface model is within the limits"
     assert resting == "linear elements are not within the limits"
-    in_time = "and answers loads everywhere within 1.0 ms"
+    in_time = "and answered loads everywhere within 1.0 ms"
     assert (moving, cutting) == (f"{none} {in_time}", f"no model is within the limits {in_time}")
     half = make_case({"vdm-paper": 0.09, "fem-linear": 0.09}, reference="fem", subdivisions=0)
     _, moving, *_ = by_interaction(Digest(make_run([dataclasses.replace(half, hash="half"), far])))
