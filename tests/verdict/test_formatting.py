@@ -70,7 +70,7 @@ def test_quantity_takes_the_prefix_that_fits(value: float, unit: str, text: str)
 def test_a_bar_of_nothing_is_not_told() -> None:
     """A frame that the machine did not make longer read `5.56 µs ± 0 s`."""
     assert measure(5.56e-6, "s", 0.0) == "5.56 µs"
-    assert measure(5.56e-6, "s", 2e-7) == "5.56 µs ± 200 ns"
+    assert measure(5.56e-6, "s", 2e-7) == "5.56 µs ± 0.200 µs"
     assert measure(0.397, bar=0.02) == "39.7 % ± 2 %"
 
 
