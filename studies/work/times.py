@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from ..measures.case import CaseResult
 from ..store.cases import read_case
@@ -18,34 +18,38 @@ class ToTime:
     """A case whose frames are timed, and the names of its models to time."""
 
     case: PlannedCase
-    names: list[str] = field(default_factory=list)
+    names: list[str]
 
 
 def to_time(plan: Plan, cases: Sequence[PlannedCase], *, every: bool) -> list[ToTime]:
-    """For each mesh its first case whose load was reached, with the models that answer one of these cases there.
+    """For each mesh its first case whose load was reached, with the models that answer there.
 
-    Unless `every` time is wanted, models that take longer than `SLOW` are left out.
+    A model that answers only later cases there is timed on the first of them. Unless `every` time is wanted, models
+    that take longer than `SLOW` are left out.
     """
     models = plan.study.study.models
-    found: dict[str, ToTime] = {}
+    found: dict[str, set[str]] = {}
+    chosen = []
     for planned, case in _reached(plan, cases, found, len(models)):
-        one = found.setdefault(planned.mesh, ToTime(planned))
+        known, names = found.setdefault(planned.mesh, set()), []
         for name in models:
             result = case.models.get(name)
-            if result is None or not result.status[case.full_load].ok or name in one.names:
+            if result is None or not result.status[case.full_load].ok or name in known:
                 continue
             if every or result.seconds_setup + result.seconds_per_step.max() < SLOW:
-                one.names.append(name)
-    return [one for one in found.values() if one.names]
+                names.append(name)
+        known.update(names)
+        if names:
+            chosen.append(ToTime(planned, names))
+    return chosen
 
 
 def _reached(
-    plan: Plan, cases: Sequence[PlannedCase], found: dict[str, ToTime], most: int
+    plan: Plan, cases: Sequence[PlannedCase], found: dict[str, set[str]], most: int
 ) -> Iterator[tuple[PlannedCase, CaseResult]]:
     """The finished cases whose load was reached, on meshes of which not all models are found."""
     for planned in cases:
-        one = found.get(planned.mesh)
-        if one is not None and len(one.names) == most:
+        if len(found.get(planned.mesh, ())) == most:
             continue
         try:
             case = read_case(plan.case_file(planned), planned.hash)

@@ -128,7 +128,7 @@ def _case(payload: Payload) -> None:
 
 
 def _times(payload: Payload) -> None:
-    """Frame times of what `to_time` chose, all models of a mesh in turns, into one file.
+    """Frame times of what `to_time` chose, the models of a case in turns, into one file.
 
     Unless `every` time is requested, meshes are left out for which no time is left.
     """
@@ -137,7 +137,8 @@ def _times(payload: Payload) -> None:
     every, end = payload["every"], time.perf_counter() + TIMES_BUDGET
     rounds, budget = (5, 10.0) if every else (3, 2.0)
     least, limit = LEAST_ROUNDS if payload["decides"] else 1, payload["limit"]
-    found, at = {}, ""
+    found: dict[str, dict[str, Any]] = {}
+    at = ""
 
     def begun(what: str) -> None:
         nonlocal at
@@ -152,7 +153,8 @@ def _times(payload: Payload) -> None:
         scene = build_scene(case.study, _meshes(item, 0).finest)
         with reported(_tell_log(lambda: f"{at}: ")):
             times = frame_times(scene, item["names"], rounds, budget, least, limit or math.inf, begun)
-        found[case.mesh] = {name: dataclasses.replace(one, **about) for name, one in times.items()}
+        told = {name: dataclasses.replace(one, **about) for name, one in times.items()}
+        found.setdefault(case.mesh, {}).update(told)
     add_times(Path(payload["directory"]), found)
 
 
