@@ -56,7 +56,7 @@ def scans_row(body: str, study: Study) -> list[str]:
 def led_back(study: Study, scene: Scene, form: str, known: ModelResult) -> list[str]:
     """The sag over the body's size, the largest error over its mean square, and what only the scan is told."""
     if not known.status[0].ok:
-        return [NOTHING, NOTHING, known.status[0].message]
+        return [NOTHING, NOTHING, known.status[0].message.split("; ")[0]]
     mesh, sag = scene.mesh, known.displacement[0]
     moved = np.zeros_like(mesh.points)
     moved[mesh.surface_nodes] = sag
@@ -68,10 +68,11 @@ def led_back(study: Study, scene: Scene, form: str, known: ModelResult) -> list[
         status = run_model(build_scene(Study.model_validate(weighed), scan, scene.regions), form).status[0]
     found, before = (_told(one.message) for one in (status, known.status[0]))
     told = "; ".join(text for words, text in found.items() if words not in before) or "nothing"
+    told = re.sub(r"the rest shape is known to \S+ mm, (\S+) %[^;]*", r"\1", told)
     largest = np.linalg.norm(sag, axis=1).max()
     size = f"{100 * largest / np.ptp(mesh.points, axis=0).max():.2g}"
     if not status.ok:
-        return [size, NOTHING, told]
+        return [size, NOTHING, told.split("; ")[0]]
     off = 100 * np.linalg.norm(met.call_args.args[2] - sag, axis=1) / largest
     return [size, f"{off.max():.2g} / {np.sqrt((off**2).mean()):.2g}", told]
 

@@ -61,6 +61,7 @@ def test_any_value_of_a_study_can_be_swept(
     tmp_path: Path, key: str, values: str, unit: str, read: Callable[[Study], float | str]
 ) -> None:
     base = SWEPT.replace("[models", "[load]\nfactors = [1]\n[models")
+    base = base.replace("[geometry]", 'reference = "vdm-vector:lu"\n[geometry]')  # which [uncertainty] is of
     cases = swept(tmp_path, f'"{key}" = {values}', base)
     assert len(cases) == 2
     for case in cases:
