@@ -68,6 +68,14 @@ def uniform_surface(points: Array, triangles: Index, mesh_size: float) -> tuple[
     )
 
 
+def caps(points: Array, faces: Index) -> Index:
+    """Facets that close the holes of a surface, between the nodes of the rims."""
+    extent = float(np.ptp(points, axis=0).max())
+    closed = polydata(points, faces).fill_holes(2.0 * extent)
+    found: Index = np.asarray(closed.regular_faces, dtype=faces.dtype)[len(faces) :]
+    return found
+
+
 def surface_distance(
     points: Array, triangles: Index, other_points: Array, other_triangles: Index
 ) -> tuple[float, Array]:

@@ -56,8 +56,8 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:
 
     Parameters
     ----------
-    repair : further repairs: "largest-piece" keeps only the piece with the most area, "fill-holes" closes each hole
-        by facets from its rim to a point in its middle, "both" does one after the other
+    repair : further repairs: "largest-piece" keeps only the piece with the most area, "fill-holes" closes holes
+        by facets between the nodes of their rims, "both" does one after the other
 
     Raises MeshError for coordinates that are not finite, no facets, facets with points that do not exist, and a
     result that is open, not manifold, one-sided, in pieces beside each other, or without an inside.
@@ -83,12 +83,14 @@ def clean_surface(points: Array, triangles: Index, repair: str = "") -> Clean:
     sound = len(faces)
     if repair in ("largest-piece", "both"):
         faces = _largest_piece(points[used], faces)
-    in_piece, remedy, placed = len(faces), CLOSE_IT, points[used]
+    in_piece, remedy = len(faces), CLOSE_IT
     if repair in ("fill-holes", "both"):
-        placed, faces = _with_caps(placed, faces)
+        from .remesh import caps  # slow to load
+
+        faces = np.concatenate([faces, caps(points[used], faces)])
         remedy = 'repair = "fill-holes" does not close it: close it where it was made'
     kept, local = np.unique(faces, return_inverse=True)
-    clean_points = placed[kept]
+    clean_points = points[used][kept]
     outward, flipped = consistent_orientation(clean_points, local.reshape(-1, 3), remedy)
     repairs = {
         "points_merged": int(np.count_nonzero(target != np.arange(len(used)))),
@@ -131,25 +133,6 @@ def _largest_piece(points: Array, faces: Index) -> Index:
     area = np.bincount(piece, weights=facet_areas(points, faces))
     largest: Index = faces[piece == area.argmax()]
     return largest
-
-
-def _with_caps(points: Array, faces: Index) -> tuple[Array, Index]:
-    """Points and facets, with each hole closed by facets from its rim to the mean of its rim.
-
-    A hole whose rim touches itself or another rim stays open.
-    """
-    directed = half_edges(faces)
-    _, edge, uses = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    rims = directed[uses[edge.ravel()] == 1]
-    label = pieces(len(points), *rims.T)
-    touching = label[np.bincount(rims.ravel(), minlength=len(points)) > 2]
-    rims = rims[~np.isin(label[rims[:, 0]], touching)]
-    _, hole = np.unique(label[rims[:, 0]], return_inverse=True)
-    length = np.linalg.norm(points[rims[:, 1]] - points[rims[:, 0]], axis=1)
-    middles = points[rims].mean(axis=1)
-    tips = [np.bincount(hole, length * x) / np.bincount(hole, length) for x in middles.T]
-    caps = np.column_stack([rims[:, ::-1], len(points) + hole])
-    return np.concatenate([points, np.stack(tips, axis=1)]), np.concatenate([faces, caps])
 
 
 def _without_repeats(faces: Index) -> Index:

@@ -229,7 +229,7 @@ class FileBody(Geometry):
         f"{CAVITIES}; needed where closed pieces of its surface lie inside the outer one", None
     )
     repair: Literal["fill-holes", "largest-piece", "both"] | None = Key(
-        "close holes of a surface by facets from their rims to a point in their middle, keep of several pieces "
+        "close holes of a surface by facets between the nodes of their rims, keep of several pieces "
         "the one with the most area, or both; left out, either is refused",
         None,
     )
