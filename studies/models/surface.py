@@ -335,7 +335,7 @@ for _registered in (
             INCLUSIONS: ("linear",),
             SCANNED: ("nonlinear",),
         },
-        version="51",
+        version="52",
         solvers=("linear", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "compressibility", "parts", "penalty"),
@@ -346,7 +346,7 @@ for _registered in (
     _surface(
         name="bem-sparse",
         family=Family.PEERS,
-        version="30",
+        version="31",
         solvers=("linear", "single", "nonlinear"),
         tissue=("youngs_modulus", "poisson_ratio"),
         parameters=("shear_modulus", "coarse_nodes", "compressibility", "parts"),

@@ -32,8 +32,9 @@ from vdm.surface import SurfaceMesh, rigid_basis
 PLACE = 0.25
 # steps of the walks that tell nodes apart by the mesh around them, which a change of shape does not alter
 RINGS = 8
-# a ratio of two lengths above this is equality, to what a search for the rest shape leaves open
-SHORTER = 0.99
+# a ratio of two lengths above this is equality: to rounding; of mirror images, to what a search for the rest shape
+# leaves open
+SHORTER, ALIKE = 1.0 - 1e-9, 0.99
 # rows of a large matrix that are handled at once
 ROWS = 256
 
@@ -158,7 +159,7 @@ def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Arr
         return points, list(bodies), ends
     grown = np.asarray(on_edges(ends, n) @ points)
     new = np.where(numbers < 0, -1, n + numbers)
-    met = _met(sides.reshape(-1, 2), n)
+    met = _met(sides.reshape(-1, 2), held)
     _, of, uses = np.unique(np.sort(facets, axis=1), axis=0, return_inverse=True, return_counts=True)
     # both sides of a facet are cut as the facet with ascending nodes, up to a cyclic shift
     a, b, c = facets.T
@@ -176,7 +177,7 @@ def cut_at_rims(points: Array, bodies: Sequence[Index], held: Mask) -> tuple[Arr
 def _cut(triangles: Index, new: Index, points: Array, met: Index) -> Index:
     """Cut each facet with new nodes on two sides (F, 3; -1 for none) in three: a corner, and the rest in two.
 
-    The diagonal of the rest depends on the mesh, and in a tie of `_met` (n,) on lengths, if these are unequal:
+    The diagonal of the rest depends on the mesh, and in a tie of `_met` (n, 2) on lengths, if these are unequal:
     a body that sags keeps its diagonals, and is led back to rest with them.
     """
     is_cut = (new >= 0).any(axis=1)
@@ -186,17 +187,23 @@ def _cut(triangles: Index, new: Index, points: Array, met: Index) -> Index:
     ab, _, ca = np.take_along_axis(new[is_cut], turned, axis=1).T
     # the diagonal at the node with more walks; in a tie the shorter diagonal
     ab_c, b_ca = np.linalg.norm(points[[ab, b]] - points[[c, ca]], axis=2)
-    is_first = np.where(met[b] == met[c], ab_c < SHORTER * b_ca, met[b] < met[c])
+    tied, mirrored = (met[b] == met[c]).T
+    is_shorter = ab_c < np.where(mirrored, ALIKE, SHORTER) * b_ca
+    is_first = np.where(tied, is_shorter, met[b, 0] < met[c, 0])
     third, second = np.where(is_first, [ab, c], [b, ca])
     thirds = [(a, ab, ca), (ab, b, second), (third, c, ca)]
     return np.concatenate([triangles[~is_cut], *(np.stack(part, axis=1) for part in thirds)])
 
 
-def _met(edges: Index, n: int) -> Index:
-    """(n,) number of walks of `RINGS` steps from each node; a step stays or follows an edge (k, 2)."""
+def _met(edges: Index, held: Mask) -> Index:
+    """(n, 2) number of walks of `RINGS` steps from each node, and of those that end at held nodes (n,).
+
+    A step stays or follows an edge (k, 2).
+    """
+    n = len(held)
     beside = sparse.csr_array((np.ones(len(edges), np.int64), edges.T), shape=(n, n))
     beside.data[:] = 1  # an edge of two bodies counts once
-    met = np.ones(n, np.int64)
+    met = np.stack([np.ones_like(held), held], axis=1).astype(np.int64)
     for _ in range(RINGS):
         met = met + beside @ met
     return met
