@@ -31,8 +31,9 @@ from solver_common.quadrature import facet_quadrature
 from vdm.solvers.columns import ContactColumns, contact_columns
 from vdm.solvers.linear import LinearSolver
 
+from ..machine import processor_share
 from ..scene.result import FrameTimes, ModelResult
-from ..scene.scene import Scene
+from ..scene.scene import Scene, SurfaceLoad
 from . import Prepared, superposes
 
 SAMPLE = 1e-3  # least length of a sample [s]: far above the clock's resolution and the overhead of a call
@@ -94,11 +95,11 @@ def one_round(contact: Scene, name: str, *, everywhere: bool = True) -> tuple[fl
     """
     gc.collect()
     prepared = Prepared(contact, name, MANY)
-    result = prepared.answer(contact.loads)
-    touch, everything = _frame(contact, prepared, result), math.nan
+    result, share = _answer(prepared, contact.loads)
+    touch, everything = _frame(contact, prepared, result, share), math.nan
     if everywhere and not prepared.model.contact_in_setup:  # such a model needs a new set-up for other nodes
         loaded = dataclasses.replace(contact, facet_pressure=pressure_everywhere(contact))
-        everything, _ = _frame(loaded, prepared, prepared.answer(loaded.loads))
+        everything, _ = _frame(loaded, prepared, *_answer(prepared, loaded.loads))
     problem = prepared.set_up.problem if prepared.set_up is not None else None
     if problem is not None and result.status[0].ok and superposes(name) and _pressed_alone(contact):
         touch = min(touch, _by_columns(problem, contact))
@@ -136,18 +137,27 @@ def _by_columns(problem: Problem, contact: Scene) -> tuple[float, float]:
     return seconds, min(seconds, median_seconds(frame, time.process_time))
 
 
-def _frame(scene: Scene, prepared: Prepared, result: ModelResult) -> tuple[float, float]:
-    """Median seconds of a load step, and of the processor for it; short steps are solved again and again."""
+def _answer(prepared: Prepared, loads: Sequence[SurfaceLoad]) -> tuple[ModelResult, float]:
+    """The result of some load steps, and the share of its time that the processor worked."""
+    share = processor_share()
+    return prepared.answer(loads), share()
+
+
+def _frame(scene: Scene, prepared: Prepared, result: ModelResult, share: float) -> tuple[float, float]:
+    """Median seconds of a load step, and of the processor for it; short steps are solved again and again.
+
+    `result` and `share` are of a first answer.
+    """
     once = float(result.seconds_per_step.min())  # the minimum: a step that was interrupted is not typical
     if not once > 0.0:  # also NaN, of a model that could not be set up
         return math.nan, math.nan
     if once >= LONG:
         seconds = float(np.median(result.seconds_per_step))
-        return seconds, seconds * result.processor_share
+        return seconds, seconds * share
     loads, found, end = scene.loads, [], time.perf_counter() + MOST
     for _ in range(math.ceil(SAMPLES * calls_of_a_sample(once) / len(loads))):
-        again = prepared.answer(loads)
-        found.append(np.outer((1.0, again.processor_share), again.seconds_per_step))
+        again, share = _answer(prepared, loads)
+        found.append(np.outer((1.0, share), again.seconds_per_step))
         if time.perf_counter() > end:
             break
     every = np.concatenate(found, axis=1)  # enough for `SAMPLES` samples, each the mean of consecutive steps

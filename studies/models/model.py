@@ -17,7 +17,7 @@ import numpy as np
 from solver_common.solution import Solution, Status
 
 from ..body.surface_measures import enclosed_volumes
-from ..machine import peak_bytes_since, processor_share, reset_peak
+from ..machine import peak_bytes_since, reset_peak
 from ..scene.result import REFUSED, STEPS, ModelResult, answered, unanswered
 from ..scene.scene import Scene, SurfaceLoad
 from ..study.errors import InputError, listed
@@ -107,15 +107,12 @@ class Prepared:
         model, n_nodes = self.model, len(self._scene.fixed)
         if self.set_up is None:
             return unanswered([self._refusal] * len(loads), n_nodes, model.version)
-        share = processor_share()
         try:
             solution = self.set_up.solve(loads)
-            worked = share()
             _check(solution, model.name, len(loads), n_nodes)
         except (Exception, SystemExit) as error:  # noqa: BLE001
             return unanswered([_refusal(error, model.name)] * len(loads), n_nodes, model.version)
         result = _result(self._scene, solution, peak_bytes_since(self._resident), model)
-        result = dataclasses.replace(result, processor_share=worked)
         return result if ends else answered(result)
 
 

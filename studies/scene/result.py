@@ -70,14 +70,12 @@ class ModelResult(Solution):
     peak_bytes : peak resident memory that the model added
     version : declared version of the model
     frames : measured at the end of a run; None if not measured
-    processor_share : of the time of the answer, what the processor spent on it; NaN if not known
     """
 
     volume: Array
     peak_bytes: int
     version: str
     frames: FrameTimes | None = None
-    processor_share: float = np.nan
 
     @property
     def frame_time(self) -> float:

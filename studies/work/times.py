@@ -25,7 +25,7 @@ def to_time(plan: Plan, cases: Sequence[PlannedCase], *, every: bool) -> list[To
     """For each mesh its first case whose load was reached, with the models that answer there.
 
     A model that answers only later cases there is timed on the first of them. Unless `every` time is wanted, models
-    that take longer than `SLOW` are left out.
+    that take longer than `SLOW` on it are left out.
     """
     models = plan.study.study.models
     found: dict[str, set[str]] = {}
@@ -36,9 +36,9 @@ def to_time(plan: Plan, cases: Sequence[PlannedCase], *, every: bool) -> list[To
             result = case.models.get(name)
             if result is None or not result.status[case.full_load].ok or name in known:
                 continue
+            known.add(name)
             if every or result.seconds_setup + result.seconds_per_step.max() < SLOW:
                 names.append(name)
-        known.update(names)
         if names:
             chosen.append(ToTime(planned, names))
     return chosen

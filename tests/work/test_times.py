@@ -13,6 +13,7 @@ from vdmbench.scene.scene import Scene
 from vdmbench.store.cases import read_case, write_case
 from vdmbench.store.run_directory import TIMES, read_times
 from vdmbench.verdict.acceptance import BEYOND, time_state
+from vdmbench.work import times
 from vdmbench.work.run import Options, _decides, _time_frames
 from vdmbench.work.times import to_time
 
@@ -119,3 +120,15 @@ def test_where_the_load_is_not_reached_or_a_model_fails_nothing_is_timed(tmp_pat
     assert chosen() == []
     timed(plan, plan.cases)
     assert not (plan.directory / TIMES).exists()
+
+
+def test_a_slow_model_is_neither_timed_nor_looked_for_in_further_cases(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_of(tmp_path / "run", cache, **LIMITED)
+    do_cases(plan)
+    read: list[Path] = []
+    monkeypatch.setattr(times, "read_case", lambda path, *a: read.append(path) or read_case(path, *a))
+    monkeypatch.setattr(times, "SLOW", 0.0)
+    assert to_time(plan, plan.cases, every=False) == []
+    assert len(read) == len({case.mesh for case in plan.cases}) < len(plan.cases)
